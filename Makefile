@@ -1,0 +1,37 @@
+# Every target sets up .venv first. ARGS are passed on: make train ARGS="seed=1 actor=gru_mog"
+PYTHON ?= python3.11
+VENV := .venv
+RUN := $(VENV)/bin/python
+READY := $(VENV)/.ready
+export RL_LOGGING_LEVEL ?= WARNING
+
+.PHONY: setup train test slow-test lint bench clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { echo "python 3.11 must be on the PATH, or say which: make PYTHON=..."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(RUN) -m pip install --quiet --constraint constraints.txt torch
+	$(RUN) -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	@touch $@
+
+train: $(READY)
+	$(RUN) -m recipes.train $(ARGS)
+
+test: $(READY)
+	$(RUN) -m pytest $(ARGS)
+
+slow-test: $(READY)
+	$(RUN) -m pytest -m slow $(ARGS)
+
+lint: $(READY)
+	$(RUN) -m ruff check .
+	$(RUN) -m ruff format --check .
+	$(RUN) -m mypy
+
+bench: $(READY)
+	$(RUN) -m recipes.bench $(ARGS)
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

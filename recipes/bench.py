@@ -1,0 +1,167 @@
+"""Speed against the bare physics, all measured in one run: ``python -m recipes.bench``."""
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import hydra
+import mujoco
+import torch
+from hydra import compose
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.table import Table
+from torchrl.envs import TransformedEnv
+
+from recipes.learner import Learner
+from recipes.one_line import check_keys, one_line_errors
+
+ROUNDS = 4  # every figure is measured in turn, several times: the machine's speed drifts
+
+
+@hydra.main(version_base=None, config_path=".", config_name="bench")
+def main(cfg: DictConfig) -> None:
+    """Prints the ratios and writes ``bench.json`` into the run folder."""
+    with one_line_errors():
+        check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed"})
+        results = measure(cfg)
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    (folder / "bench.json").write_text(json.dumps(results, indent=2))
+    out = Table(title=f"{cfg.num_envs} worlds, {len(os.sched_getaffinity(0))} cores")
+    out.add_column("figure")
+    out.add_column("value", justify="right")
+    for key, value in results.items():
+        speed = key in ("limit", "env", "train_mlp", "train_gru")
+        out.add_row(key, f"{value:.0f} control steps/s" if speed else f"{value:.3f}")
+    Console().print(out, f"wrote {folder}/bench.json")
+
+
+def measure(cfg: DictConfig) -> dict[str, float]:
+    """All figures, by the names of ``bench.json``."""
+    overrides = [f"{k}={cfg[k]}" for k in ("num_envs", "rollout_steps", "seed")]
+    mlp = Learner(compose("train", overrides=overrides))
+    gru = Learner(compose("train", overrides=[*overrides, "actor=gru_mog"]))
+    env = instantiate(compose("train", overrides=overrides).env)
+    mlp.learn(mlp.collect())  # warm up, and have a policy that moves
+    gru.learn(gru.collect())
+    stepper = EnvStepper(env, mlp)
+    states, controls = stepper.record()
+    tasks: dict[str, Callable[[float], float]] = {
+        "limit": lambda seconds: bare_physics(env, states, controls, seconds),
+        "env": stepper.run,
+        "train_mlp": lambda seconds: train(mlp, seconds),
+        "train_gru": lambda seconds: train(gru, seconds),
+    }
+    speeds: dict[str, list[float]] = {name: [] for name in tasks}
+    for _ in range(ROUNDS):
+        for name, task in tasks.items():
+            speeds[name].append(task(cfg.seconds / ROUNDS))
+    results = {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
+    for name in ("env", "train_mlp", "train_gru"):
+        results[f"{name}_efficiency"] = results[name] / results["limit"]
+    return results | stepper.transform_shares(cfg.seconds / 2)
+
+
+def bare_physics(
+    env: TransformedEnv, states: torch.Tensor, controls: torch.Tensor, seconds: float
+) -> float:
+    """Control steps/s that ``mj_step`` alone would do on all cores, measured on one thread.
+
+    Replays recorded states ``(K, size)`` and controls ``(K, nu)``: contacts cost time.
+    """
+    base = env.base_env
+    model, data = base.simulation.model, mujoco.MjData(base.simulation.model)
+    states, controls = states.numpy(), controls.double().numpy()
+    spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    done, began = 0, time.perf_counter()
+    while time.perf_counter() - began < seconds:
+        index = done * 31 % len(states)  # spreads over worlds and times
+        mujoco.mj_setState(model, data, states[index], spec)
+        data.ctrl[:] = controls[index]
+        mujoco.mj_step(model, data, nstep=base.substeps)
+        done += 1
+    return len(os.sched_getaffinity(0)) * done / (time.perf_counter() - began)
+
+
+def train(learner: Learner, seconds: float) -> float:
+    """Control steps/s of collecting and learning."""
+    frames, began = learner.frames, time.perf_counter()
+    while time.perf_counter() - began < seconds:
+        learner.learn(learner.collect())
+    return (learner.frames - frames) / (time.perf_counter() - began)
+
+
+class EnvStepper:
+    """Steps the env with the actions of a policy drawn beforehand, resets included.
+
+    Args:
+        env: the env, with all its transforms.
+        learner: whose actor draws the actions.
+    """
+
+    def __init__(self, env: TransformedEnv, learner: Learner):
+        self.env = env
+        batch = learner.collect()
+        self.actions = batch["action"].unbind(1)
+        self.td = env.reset()
+        self.count = 0
+
+    def step(self) -> None:
+        """One control step of all worlds."""
+        self.td["action"] = self.actions[self.count % len(self.actions)]
+        _, self.td = self.env.step_and_maybe_reset(self.td)
+        self.count += 1
+
+    def run(self, seconds: float) -> float:
+        """Control steps/s of the env."""
+        count, began = self.count, time.perf_counter()
+        while time.perf_counter() - began < seconds:
+            self.step()
+        passed = time.perf_counter() - began
+        return (self.count - count) * self.env.batch_size.numel() / passed
+
+    def record(self, steps: int = 40) -> tuple[torch.Tensor, torch.Tensor]:
+        """States before a step and targets in it, of all worlds and some steps."""
+        simulation, states, controls = self.env.base_env.simulation, [], []
+        for _ in range(steps):
+            states.append(simulation.state_dict()["state"])
+            self.step()
+            controls.append(self.td["target"].clone())
+        return torch.cat(states), torch.cat(controls)
+
+    def transform_shares(self, seconds: float) -> dict[str, float]:
+        """Share of each transform in the time of a step, ``transform/NAME``."""
+        spent: dict[str, float] = {}
+        for transform in self.env.transform:
+            name = type(transform).__name__
+            key = f"transform/{name}"
+            while key in spent:
+                key += "'"
+            spent[key] = 0.0
+            for method in ("_inv_call", "_step", "_reset", "_reset_env_preprocess"):
+                setattr(transform, method, timed(getattr(transform, method), spent, key))
+        began = time.perf_counter()
+        self.run(seconds)
+        passed = time.perf_counter() - began
+        return {key: value / passed for key, value in spent.items()}
+
+
+def timed(function: Callable[..., Any], spent: dict[str, float], key: str) -> Callable[..., Any]:
+    """The function, adding the time it takes to ``spent[key]``."""
+
+    def call(*args: Any) -> Any:
+        began = time.perf_counter()
+        result = function(*args)
+        spent[key] += time.perf_counter() - began
+        return result
+
+    return call
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""Env, actor, critic and optimizer of one run, and what an update does with them."""
+
+import time
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from torch.nn.utils import clip_grad_norm_
+from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.modules import set_recurrent_mode
+from torchrl.modules.utils import get_primers_from_module
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from zfall.modules.actors import normalizer_of
+
+
+class Learner:
+    """Collects batches and learns from them; ``state_dict`` holds all that the next one needs.
+
+    Args:
+        cfg: the composed config, see ``recipes/train.yaml``.
+    """
+
+    def __init__(self, cfg: DictConfig):
+        torch.manual_seed(cfg.seed)
+        self.cfg = cfg
+        self.env = instantiate(cfg.env)
+        spec, action_spec = self.env.observation_spec, self.env.action_spec
+        self.actor = instantiate(cfg.actor, spec, action_spec)
+        self.critic = instantiate(cfg.critic, spec)
+        for module in (self.actor, self.critic):
+            if recurrent_keys(module):
+                self.env.append_transform(get_primers_from_module(module))
+        self.env.set_seed(cfg.seed)
+        loss = cfg.loss
+        self.advantage = GAE(
+            gamma=loss.gamma, lmbda=loss.lmbda, value_network=self.critic, deactivate_vmap=True
+        )
+        self.loss = ClipPPOLoss(
+            self.actor,
+            self.critic,
+            clip_epsilon=loss.clip_epsilon,
+            critic_coeff=loss.critic_coeff,
+            entropy_coeff=loss.entropy_coeff,
+            entropy_bonus=loss.entropy_coeff > 0,  # a coefficient of 0 would still compute it
+            loss_critic_type="l2",
+            normalize_advantage=True,
+        )
+        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimizer = instantiate(cfg.optimizer, self.parameters)
+        self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
+        hidden = [*recurrent_keys(self.actor), *recurrent_keys(self.critic)]
+        inputs = ["observation", "observation_critic", "is_init", *hidden]
+        self._learned = [*inputs, "action", "action_log_prob"]
+        flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
+        flags += ["episode_reward", "step_count", "diverged"]
+        self._stored = [*self._learned, *(("next", key) for key in [*inputs, *flags])]
+        self.carrier = self.env.reset()
+        self.frames = self.updates = 0
+
+    @property
+    def frames_per_batch(self) -> int:
+        """Control steps of one update, over all worlds."""
+        return int(self.cfg.num_envs * self.cfg.rollout_steps)
+
+    def collect(self) -> TensorDictBase:
+        """Runs the policy for ``rollout_steps``; returns the batch ``(N, T)``."""
+        steps = []
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            for _ in range(self.cfg.rollout_steps):
+                data, self.carrier = self.env.step_and_maybe_reset(self.actor(self.carrier))
+                steps.append(data.select(*self._stored, strict=False))
+        self.frames += self.frames_per_batch
+        return torch.stack(steps, 1)
+
+    def learn(self, batch: TensorDictBase) -> dict[str, float]:
+        """Some passes of PPO over the batch; returns the means of the last pass."""
+        cfg = self.cfg
+        with torch.no_grad(), set_recurrent_mode(True):
+            self.advantage(batch)
+        data = batch.select(*self._learned, "advantage", "value_target", "state_value")
+        if not recurrent_keys(self.actor) and not recurrent_keys(self.critic):
+            data = data.reshape(-1)  # else a minibatch holds whole sequences
+        size = -(-len(data) // cfg.minibatches)
+        for epoch in range(cfg.epochs):
+            outputs = []
+            for rows in torch.randperm(len(data)).split(size):
+                out = self.loss(data[rows])
+                total = sum(value for key, value in out.items() if key.startswith("loss_"))
+                total.backward()
+                clip_grad_norm_(self.parameters, cfg.max_grad_norm)
+                self.optimizer.step()
+                self.optimizer.zero_grad()
+                outputs.append({key: value.detach().mean() for key, value in out.items()})
+        means = {k: torch.stack([out[k] for out in outputs]).mean().item() for k in outputs[0]}
+        if self.scheduler is not None:
+            self.scheduler.step(means["kl_approx"])
+        normalizer_of(self.actor).update(batch["observation"])
+        normalizer_of(self.critic).update(batch["observation_critic"])
+        self.updates += 1
+        return means
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint holds."""
+        return {
+            "config": OmegaConf.to_yaml(self.cfg, resolve=True),
+            "robot": self.env.base_env.robot.name,
+            "actor": self.actor.state_dict(),
+            "critic": self.critic.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "env": self.env.base_env.state_dict(),
+            "transforms": self.env.transform.state_dict(),
+            "carrier": self.carrier.to_dict(),
+            "rng": torch.get_rng_state(),
+            "frames": self.frames,
+            "updates": self.updates,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from what ``state_dict`` gave."""
+        self.actor.load_state_dict(state["actor"])
+        self.critic.load_state_dict(state["critic"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.env.base_env.load_state_dict(state["env"])
+        self.env.transform.load_state_dict(state["transforms"])
+        self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
+        torch.set_rng_state(state["rng"])
+        self.frames, self.updates = state["frames"], state["updates"]
+
+
+def recurrent_keys(module: torch.nn.Module) -> list[str]:
+    """Names of the hidden states that a module carries from step to step."""
+    return [key for key in module.in_keys if str(key).startswith("recurrent_state")]
+
+
+def batch_metrics(batch: TensorDictBase, control_dt: float) -> dict[str, float]:
+    """Means over a batch, by the names of ``metrics.csv``."""
+    after = batch["next"]
+    ended = after["done"]
+    metrics = {
+        "reward": after["reward"].mean().item(),
+        "episodes": int(ended.sum()),
+        "falls": int(after["terminated"].sum()),
+        "diverged": int(after["diverged"].sum()),
+    }
+    if ended.any():
+        metrics["episode_return"] = after["episode_reward"][ended].mean().item()
+        metrics["episode_seconds"] = after["step_count"][ended].float().mean().item() * control_dt
+    metrics |= {f"reward/{k}": v.mean().item() for k, v in after["reward_terms"].items()}
+    metrics |= {f"termination/{k}": int(v.sum()) for k, v in after["terminations"].items()}
+    return metrics

@@ -1,0 +1,111 @@
+"""What a training run shows at its end: a short battery, plots and a film."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from recipes.learner import Learner
+from zfall.evaluation.battery import Battery, battery_env, load_battery, play, run_battery
+from zfall.evaluation.plots import learning_curves, success_map
+from zfall.evaluation.statistics import summarize
+from zfall.evaluation.video import choose_gl, film
+
+SIDES = {"from behind": 0.0, "from the right": 90.0, "from the front": 180.0, "from the left": 270.0}
+
+
+def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: Console) -> None:
+    """Runs a short ``planar`` battery before and after training and of ``pose_hold``.
+
+    Writes plots, ``video.mp4`` and ``summary.json`` into the run folder and prints a table.
+    """
+    cfg, actor = learner.cfg, learner.actor
+    battery = load_battery("planar", impulses=list(cfg.showcase.sizes), starts=cfg.showcase.starts)
+    trained = {key: value.clone() for key, value in actor.state_dict().items()}
+    with console.status("short planar battery"):
+        actor.load_state_dict(untrained)
+        before = run_battery(battery, cfg.env, actor)
+        actor.load_state_dict(trained)
+        after = run_battery(battery, cfg.env, actor)
+        baseline = run_battery(battery, cfg.env, None)
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    summaries = {
+        "before": summarize(battery, before),
+        "after": summarize(battery, after),
+        "pose_hold": summarize(battery, baseline),
+    }
+    (folder / "summary.json").write_text(json.dumps(summaries, indent=2))
+    learning_curves(pd.read_csv(folder / "metrics.csv"), plots / "learning_curves.png")
+    success_map(after, plots / "planar.png", title="share recovered, short planar", baseline=baseline)
+    console.print(table(summaries))
+    if cfg.showcase.video:
+        with console.status("video"):
+            video(battery, cfg.env, actor, folder / "video.mp4", console)
+    console.print(f"run folder: {folder}")
+    console.print("  metrics.csv, timing.csv, tensorboard/, checkpoints/{last,best}.pt")
+    console.print("  plots/learning_curves.png, plots/planar.png, video.mp4, summary.json")
+    console.print(f"next: python -m recipes.evaluate run={folder} battery=planar")
+
+
+def table(summaries: dict[str, dict[str, Any]]) -> Table:
+    """Success by impulse and the headline figures, one column per policy."""
+    first = next(iter(summaries.values()))
+    out = Table(title=f"planar, {first['n']} trials each: recovered of all, with 95 % interval")
+    out.add_column("push I (force for 0.1 s)")
+    for name in summaries:
+        out.add_column(name, justify="right")
+    for key in first["success"]:
+        cells = [
+            f"{100 * s['success'][key]:3.0f} %  [{100 * s['success_low'][key]:.0f}, "
+            f"{100 * s['success_high'][key]:.0f}]"
+            for s in summaries.values()
+        ]
+        out.add_row(f"{key} ({49.2 * float(key):.0f} N)", *cells)
+    out.add_row("mean I50", *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
+    falls = (f"{s['control_falls']} of {s['control_n']}" for s in summaries.values())
+    out.add_row("falls without a push", *falls)
+    return out
+
+
+def video(
+    battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
+) -> None:
+    """Films a push of I = 0.5 from four sides, the policy above ``pose_hold``."""
+    choose_gl()
+    rows = {"trained": record(battery, env_cfg, actor), "pose_hold": record(battery, env_cfg, None)}
+    states = {name: qpos for name, (qpos, _) in rows.items()}
+    env, _, _ = battery_env(battery, env_cfg, 64)
+    base = env.base_env
+    try:
+        film(
+            base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=base.control_dt
+        )
+    except RuntimeError as error:
+        console.print(f"no video: {error}")
+
+
+def record(
+    battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.5
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side at 0.6 s."""
+    env, _, push = battery_env(battery, env_cfg, 64)
+    base = env.base_env
+    force = size * base.robot.impulse_unit / battery.duration
+    for index, degrees in enumerate(SIDES.values()):
+        heading = math.radians(degrees)
+        push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])
+    push.time[:] = 0.6
+    qpos, forces = [], []
+    for td in play(env, actor, round(4.0 / base.control_dt)):
+        qpos.append(base.simulation.qpos[:4].numpy().copy())
+        forces.append(td["push", "force"][:4].numpy().copy())
+    return np.stack(qpos), np.stack(forces)

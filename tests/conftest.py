@@ -1,0 +1,53 @@
+"""Fixtures shared by all tests: everything seeded, on the CPU, in seconds."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import DictConfig
+from torchrl.envs import TransformedEnv
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.make import make_env
+
+RECIPES = Path(__file__).parents[1] / "recipes"
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def compose_config() -> Callable[..., DictConfig]:
+    """Composes a recipe's config as the shell would."""
+    from hydra import compose, initialize_config_dir
+
+    def build(*overrides: str, recipe: str = "train") -> DictConfig:
+        with initialize_config_dir(str(RECIPES), version_base=None):
+            return compose(recipe, overrides=list(overrides))
+
+    return build
+
+
+@pytest.fixture()
+def make_base() -> Callable[..., HumanoidEnv]:
+    """A base env with few worlds."""
+
+    def build(num_envs: int = 4, control_dt: float = 0.04, **kwargs: object) -> HumanoidEnv:
+        return HumanoidEnv(num_envs=num_envs, control_dt=control_dt, **kwargs)
+
+    return build
+
+
+@pytest.fixture()
+def make_task(make_base: Callable[..., HumanoidEnv]) -> Callable[..., TransformedEnv]:
+    """An env with the given transforms, each a class and its values."""
+
+    def build(transforms: dict[str, tuple], **kwargs: object) -> TransformedEnv:
+        base = make_base(**kwargs)
+        built = {name: cls(base, **values) for name, (cls, values) in transforms.items()}
+        return make_env(base, built)
+
+    return build

@@ -1,0 +1,186 @@
+"""The base env: specs, units, clocks, resets and faults."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.testing import assert_close
+from torchrl.envs.utils import check_env_specs
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.robots import ZEROTH01
+from zfall.envs.rotations import rotate
+
+
+def stand(env: HumanoidEnv, seconds: float) -> TensorDict:
+    """Holds the reference pose; returns what follows the last step."""
+    td = env.reset()
+    for _ in range(round(seconds / env.control_dt)):
+        td["target"] = env.stand_position.expand(env.num_envs, -1)
+        td = env._step(td)
+    return td
+
+
+def test_specs_hold(make_base):
+    check_env_specs(make_base())
+
+
+def test_standing_still_has_the_forces_and_momenta_of_rest(make_base):
+    env = make_base(num_envs=1)
+    td = stand(env, 4.0)[0]
+    weight = env.mass * 9.81
+    assert td["feet_force"][:, 2].sum().item() == pytest.approx(weight, rel=5e-3)
+    assert td["feet_corner_force"].sum().item() == pytest.approx(weight, rel=5e-3)
+    assert td["feet_contact"].all()
+    assert_close(td["contact_force_peak"][:-2], torch.zeros(12))
+    assert td["base_acceleration"].norm().item() == pytest.approx(9.81, abs=0.01)
+    assert td["linear_momentum"].norm() < 2e-3
+    assert td["angular_momentum"].norm() < 1e-3
+    assert td["com_position"][2].item() == pytest.approx(ZEROTH01.com_height, abs=1e-3)
+
+
+def test_center_of_pressure_lies_below_the_center_of_mass_at_rest(make_base):
+    """Force-weighted mean of both feet, in world axes, by statics."""
+    td = stand(make_base(num_envs=1), 4.0)[0]
+    cop = torch.cat([td["feet_cop"], torch.zeros(2, 1)], -1)
+    spots = td["feet_position"] + rotate(td["feet_orientation"], cop)
+    share = td["feet_force"][:, 2] / td["feet_force"][:, 2].sum()
+    assert_close((share[:, None] * spots).sum(0)[:2], td["com_position"][:2], atol=1e-3, rtol=0)
+
+
+def test_corner_forces_and_center_of_pressure_agree(make_base):
+    """The lever rule over the four corners of a sole of 0.103446 x 0.074 m."""
+    td = stand(make_base(num_envs=1), 4.0)[0]
+    force = td["feet_corner_force"]  # front left, front right, rear left, rear right
+    forward = 0.051723 * (force[:, :2].sum(-1) - force[:, 2:].sum(-1)) / force.sum(-1)
+    left = 0.037 * (force[:, ::2].sum(-1) - force[:, 1::2].sum(-1)) / force.sum(-1)
+    assert_close(td["feet_cop"], torch.stack([forward, left], -1), atol=5e-4, rtol=0)
+
+
+def test_free_fall_has_the_speed_and_momentum_of_a_falling_body(make_base):
+    env = make_base(num_envs=1, control_dt=0.02)
+    start = {"base_position": torch.tensor([[0.0, 0.0, 2.0]]),
+             "base_linear_velocity": torch.tensor([[0.5, -0.3, 0.0]])}  # fmt: skip
+    td = env.reset(TensorDict({"start": start}, batch_size=[1]))
+    for _ in range(5):
+        td["target"] = env.stand_position[None]
+        td = env._step(td)
+    assert_close(td["base_acceleration"], torch.zeros(1, 3), atol=0.6, rtol=0)  # servos settle
+    # The sensors are one physics step older than the state.
+    speed = torch.tensor([[0.5, -0.3, -9.81 * (0.1 - env.physics_dt)]])
+    assert_close(td["com_velocity"], speed, atol=1e-3, rtol=0)
+    assert_close(td["linear_momentum"], env.mass * speed, atol=4e-3, rtol=0)
+    assert not td["feet_contact"].any()
+    assert_close(td["feet_cop"], torch.zeros(1, 2, 2))
+
+
+def test_angular_velocity_is_in_body_axes_and_velocity_in_world_axes(make_base):
+    """A robot that lies on its side (rolled by 90 degrees) and spins about its own z axis."""
+    env = make_base(num_envs=1)
+    half = 0.5**0.5
+    start = {"base_position": torch.tensor([[0.0, 0.0, 2.0]]),
+             "base_orientation": torch.tensor([[half, half, 0.0, 0.0]]),
+             "base_linear_velocity": torch.tensor([[0.0, 0.4, 0.0]]),
+             "base_angular_velocity": torch.tensor([[0.0, 0.0, 2.0]])}  # fmt: skip
+    td = env.reset(TensorDict({"start": start}, batch_size=[1]))
+    assert_close(td["base_angular_velocity"], torch.tensor([[0.0, 0.0, 2.0]]))
+    assert_close(td["base_linear_velocity"], torch.tensor([[0.0, 0.4, 0.0]]))
+    # Body y points up, so gravity points along -y of the body.
+    assert_close(td["projected_gravity"], torch.tensor([[0.0, -1.0, 0.0]]), atol=1e-6, rtol=0)
+    # Its own z axis is world -y: the angular momentum points there.
+    direction = td["angular_momentum"][0] / td["angular_momentum"][0].norm()
+    assert direction[1].item() < -0.9
+
+
+def test_start_without_height_puts_the_lowest_corner_on_the_floor(make_base):
+    env = make_base(num_envs=16)
+    angle = env.stand_position + 0.2 * torch.randn(16, 20)
+    angle = torch.clamp(angle, *env.joint_range.unbind(-1))
+    td = env.reset(TensorDict({"start": {"joint_position": angle}}, batch_size=[16]))
+    x, y = ZEROTH01.sole_half_size
+    corners = torch.tensor([[sx * x, sy * y, 0.0] for sx in (-1, 1) for sy in (-1, 1)])
+    quaternion = td["feet_orientation"][:, :, None].expand(-1, -1, 4, -1)
+    heights = (td["feet_position"][:, :, None] + rotate(quaternion, corners.expand(16, 2, 4, 3)))
+    assert_close(heights[..., 2].amin((1, 2)), torch.zeros(16), atol=1e-5, rtol=0)
+    assert_close(td["joint_position"], angle)
+
+
+def test_partial_reset_leaves_the_other_worlds_alone(make_base):
+    env = make_base(num_envs=4)
+    td = stand(env, 0.2)
+    td["target"] = env.stand_position.expand(4, -1) + 0.1
+    td = env._step(td)
+    before = td["joint_position"].clone()
+    td["_reset"] = torch.tensor([[False], [True], [False], [False]])
+    after = env.reset(td)
+    assert_close(after["joint_position"][1], env.stand_position, atol=1e-6, rtol=0)
+    rest = [0, 2, 3]
+    assert torch.equal(after["joint_position"][rest], before[rest])
+    assert torch.equal(env.simulation.qpos[rest, 7:].float().sort().values,
+                       before[rest].sort().values)  # fmt: skip
+
+
+def test_control_acts_at_the_resolution_of_the_physics(make_base):
+    """A target of the last physics step alone moves a joint less than one of all ten."""
+    env = make_base(num_envs=3)
+    td = env.reset()
+    control = env.stand_position.expand(3, env.substeps, -1).clone()
+    control[1, -1, 0] += 0.5
+    control[2, :, 0] += 0.5
+    td["control"] = control
+    moved = env._step(td)["joint_position"][:, 0]
+    assert moved[0].abs() < 1e-4 < moved[1] < 0.1 * moved[2]
+
+
+def test_joint_torque_is_the_servo_law_averaged_over_the_step(make_base):
+    """At the first physics step the joint has not moved: torque = stiffness x 0.1 rad."""
+    env = make_base(num_envs=1, control_dt=0.004)
+    td = env.reset()
+    td["target"] = env.stand_position[None] + 0.1
+    torque = env._step(td)["joint_torque"][0]
+    legs = [i for i, name in enumerate(ZEROTH01.joints) if any(p in name for p in ("hip", "knee", "ankle"))]
+    assert_close(torque[legs], torch.full((12,), 3.124), atol=2e-3, rtol=0)
+
+
+def test_fixed_seed_rollouts_are_the_same_to_the_bit(make_base):
+    rollouts = []
+    for threads in (1, 2):
+        torch.manual_seed(3)
+        env = make_base(threads=threads)
+        env.set_seed(1)
+        rollouts.append(env.rollout(10))
+    for key, value in rollouts[0].items(True, True):
+        assert torch.equal(value, rollouts[1][key]), key
+
+
+def test_diverged_world_ends_and_never_shows_a_value_that_is_not_finite(make_base):
+    env = make_base(num_envs=3)
+    td = env.reset()
+    env.simulation.qvel[1] = 1e30
+    td["target"] = env.stand_position.expand(3, -1)
+    out = env._step(td)
+    assert out["terminated"].squeeze().tolist() == [False, True, False]
+    assert out["diverged"].squeeze().tolist() == [False, True, False]
+    assert all(value.isfinite().all() for value in out.values() if value.dtype == torch.float32)
+
+
+def test_saved_env_goes_on_bit_for_bit(make_base):
+    env = make_base()
+    td = stand(env, 0.2)
+    saved = env.state_dict()
+    td["target"] = env.stand_position.expand(4, -1) + 0.2
+    expected = env._step(td.clone())["joint_position"]
+    other = make_base()
+    other.load_state_dict(saved)
+    assert torch.equal(other._step(td.clone())["joint_position"], expected)
+
+
+@pytest.mark.parametrize(("values", "message"), [
+    ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
+    ({"num_envs": -3}, "num_envs must be at least 1, got -3"),
+    ({"control_dt": 0.03}, "control_dt must be a multiple of physics_dt, got control_dt 0.03"),
+    ({"control_dt": 0.001}, "control_dt must be a multiple of physics_dt"),
+    ({"physics_dt": 0.0}, "physics_dt must be positive"),
+])  # fmt: skip
+def test_bad_numbers_are_refused_with_rule_and_value(values, message):
+    with pytest.raises(ValueError, match=message):
+        HumanoidEnv(**({"num_envs": 1, "control_dt": 0.04} | values))

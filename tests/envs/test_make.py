@@ -1,0 +1,97 @@
+"""Tables of transforms: their order, outside transforms, what evaluation leaves out."""
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from tensordict import TensorDictBase
+from torchrl.envs import Transform
+from torchrl.envs.utils import check_env_specs
+
+from zfall.envs.make import make_env
+from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
+from zfall.envs.transforms.observations import ObservationNoise
+from zfall.envs.transforms.pushes import RandomPush
+
+
+class DoubleTarget(Transform):
+    """A user's own transform: the servos get twice the angle."""
+
+    def __init__(self):
+        super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("target", 2 * tensordict["target"])
+
+
+OUTSIDE = {"_target_": "tests.envs.test_make.DoubleTarget"}
+
+
+def table(**more: object) -> dict[str, object]:
+    action = {"_target_": "zfall.envs.transforms.actions.JointPositionTarget", "scale": 0.5}
+    delay = {"_target_": "zfall.envs.transforms.actions.ActuatorDelay", "delay": [0.0, 0.0]}
+    return {"action": action, **more, "delay": delay}
+
+
+@pytest.mark.parametrize("task", ["push_recovery"])
+def test_every_task_of_the_recipes_holds_its_specs(compose_config, task):
+    cfg = compose_config(f"env={task}", "num_envs=3")
+    check_env_specs(instantiate(cfg.env))
+
+
+def test_transform_of_a_user_runs_where_the_table_puts_it(make_base):
+    base = make_base(num_envs=2)
+    env = make_env(base, table(mine=OUTSIDE))
+    seen = {}
+    base._step = lambda td: seen.update(td.items()) or HumanoidStep(base, td)
+    td = env.reset()
+    td["action"] = torch.full((2, 20), 0.1)
+    env.step(td)
+    expected = 2 * (base.stand_position + 0.05)
+    torch.testing.assert_close(seen["control"][0, 0], expected)
+
+
+def HumanoidStep(base, td):  # noqa: N802
+    return type(base)._step(base, td)
+
+
+def test_transform_of_a_user_can_be_named_from_yaml(compose_config):
+    cfg = compose_config(
+        "num_envs=2", "+env.transforms.mine={_target_: tests.envs.test_make.DoubleTarget}"
+    )
+    env = instantiate(cfg.env)
+    assert any(isinstance(t, DoubleTarget) for t in env.transform)
+
+
+def test_evaluation_leaves_out_what_the_table_says_and_nothing_else(compose_config):
+    cfg = compose_config("num_envs=2").env
+    kinds = {}
+    for training in (True, False):
+        env = instantiate(cfg, training=training)
+        kinds[training] = {type(t) for t in env.transform}
+    gone = {RandomPush, ObservationNoise, ActuatorDelay}
+    assert gone <= kinds[True]
+    assert not gone & kinds[False]
+    assert JointPositionTarget in kinds[False]
+
+
+def test_unknown_name_in_training_only_is_refused(make_base):
+    with pytest.raises(ValueError, match=r"training_only must name transforms .*got wind"):
+        make_env(make_base(), table(), training_only=["wind"])
+
+
+def test_unknown_value_of_a_transform_is_refused_with_its_place(compose_config):
+    cfg = compose_config("num_envs=2", "+env.transforms.push.impulze=3")
+    with pytest.raises(Exception, match=r"(?s)impulze.*env\.transforms\.push"):
+        instantiate(cfg.env)
+
+
+def test_config_survives_a_round_trip_through_text(compose_config):
+    """What a checkpoint stores builds the same env."""
+    cfg = compose_config("num_envs=2")
+    text = OmegaConf.to_yaml(cfg, resolve=True)
+    names = [
+        [type(t).__name__ for t in instantiate(c.env).transform]
+        for c in (cfg, OmegaConf.create(text))
+    ]
+    assert names[0] == names[1]

@@ -1,0 +1,101 @@
+"""Compiling a robot's MJCF: push points, and what is refused."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from zfall.envs.model import compile_model, push_targets
+from zfall.envs.robots import ZEROTH01, PushPoint
+
+
+def edited(tmp_path, old: str, new: str):
+    """The robot with a changed MJCF."""
+    text = open(ZEROTH01.mjcf).read()
+    assert old in text
+    path = tmp_path / "edited.xml"
+    path.write_text(text.replace(old, new))
+    return replace(ZEROTH01, mjcf=str(path))
+
+
+@pytest.mark.parametrize(("point", "height"), [
+    # Above the floor when standing [m]: facts of the robot, and offsets in base axes from them.
+    ("torso", 0.305), ("pelvis", None), ("chest", None),
+])  # fmt: skip
+def test_push_points_lie_where_they_are_said_to_lie(point, height):
+    model = compile_model(ZEROTH01, physics_dt=0.004)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    spot = data.body(f"push_point/{point}").xpos
+    base = data.body("floating_base_link").xpos
+    offset = {"torso": None, "pelvis": -0.089, "chest": 0.026}[point]
+    if height is not None:
+        assert spot[2] == pytest.approx(height, abs=1e-3)
+        np.testing.assert_allclose(spot, data.body("Top_Brace").xipos, atol=1e-9)
+    else:
+        np.testing.assert_allclose(spot - base, [0, 0, offset], atol=1e-9)
+
+
+def test_elbow_push_point_is_the_left_elbow_joint():
+    model = compile_model(ZEROTH01, physics_dt=0.004)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    spot = data.body("push_point/elbow").xpos
+    np.testing.assert_allclose(spot, data.joint("left_elbow_roll").xanchor, atol=1e-9)
+
+
+def test_push_points_change_neither_mass_nor_motion():
+    plain = mujoco.MjModel.from_xml_path(ZEROTH01.mjcf)
+    ours = compile_model(ZEROTH01, physics_dt=plain.opt.timestep)
+    ends = []
+    for model in (plain, ours):
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        data.qvel[:3] = [0.3, 0.2, 0.1]
+        for _ in range(100):
+            mujoco.mj_step(model, data)
+        ends.append(data.qpos.copy())
+    assert ours.body_mass.sum() == pytest.approx(plain.body_mass.sum(), rel=1e-12)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+def test_push_targets_name_points_and_links():
+    model = compile_model(
+        ZEROTH01, physics_dt=0.004, push_points={"toe": PushPoint(body="Left_Foot")}
+    )
+    targets = push_targets(model)
+    assert set(ZEROTH01.push_points) | {"toe", "Left_Foot", "Top_Brace"} <= set(targets)
+    assert model.body(targets["Left_Foot"] + 1).name == "Left_Foot"
+    assert model.body(targets["toe"] + 1).name == "push_point/toe"
+
+
+def test_limp_robot_falls_where_a_powered_one_stands():
+    heights = []
+    for servos in (True, False):
+        model = compile_model(ZEROTH01, physics_dt=0.004, servos=servos)
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        heights.append(data.qpos[2])
+    assert heights[0] > 0.32
+    assert heights[1] < 0.2
+
+
+def test_mjcf_without_a_sensor_is_refused_by_name(tmp_path):
+    robot = edited(tmp_path, '<subtreelinvel name="com_velocity"', '<subtreelinvel name="other"')
+    with pytest.raises(ValueError, match="must have a sensor for every key, lacks com_velocity"):
+        compile_model(robot, physics_dt=0.004)
+
+
+def test_mjcf_without_an_actuator_is_refused_by_name(tmp_path):
+    robot = edited(tmp_path, '<position name="left_hip_yaw" ', '<position name="left_hip_jaw" ')
+    with pytest.raises(ValueError, match="lacks the actuator left_hip_yaw"):
+        compile_model(robot, physics_dt=0.004)
+
+
+def test_push_point_on_an_unknown_link_is_refused_with_a_list():
+    with pytest.raises(ValueError, match=r"push_points.tail: body must be one of .*Top_Brace.* got"):
+        compile_model(ZEROTH01, physics_dt=0.004, push_points={"tail": PushPoint(body="Tail")})

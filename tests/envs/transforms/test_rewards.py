@@ -1,0 +1,65 @@
+"""The table of reward terms."""
+
+from functools import partial
+
+import pytest
+import torch
+from torch.testing import assert_close
+from torchrl.envs.utils import check_env_specs
+
+from zfall.envs.make import make_env
+from zfall.envs.terms.posture import reference_posture
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.rewards import WeightedReward
+
+
+def build(make_base, terms):
+    base = make_base(num_envs=3)
+    return make_env(
+        base,
+        {
+            "action": JointPositionTarget(base, scale=1.0),
+            "reward": WeightedReward(base, terms=terms),
+        },
+    )
+
+
+def ones(td, next_td):
+    return torch.ones(3, 1)
+
+
+def world(td, next_td):
+    return torch.arange(3.0)[:, None]
+
+
+def test_reward_is_the_weighted_sum_and_keeps_its_summands(make_base):
+    env = build(make_base, {"one": (2.0, ones), "two": (-0.5, world)})
+    check_env_specs(env)
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    after = env.step(td)["next"]
+    assert_close(after["reward"], torch.tensor([[2.0], [1.5], [1.0]]))
+    assert_close(after["reward_terms", "one"], torch.full((3, 1), 2.0))
+    assert_close(after["reward_terms", "two"], torch.tensor([[0.0], [-0.5], [-1.0]]))
+
+
+def test_weight_of_none_leaves_a_term_out(make_base):
+    env = build(make_base, {"one": (2.0, ones), "two": (None, world)})
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    after = env.step(td)["next"]
+    assert_close(after["reward"], torch.full((3, 1), 2.0))
+    assert list(after["reward_terms"].keys()) == ["one"]
+
+
+def test_term_that_asks_for_the_robot_gets_it(make_base):
+    env = build(make_base, {"posture": (1.0, partial(reference_posture, sigma=1.0))})
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    reward = env.step(td)["next", "reward"]
+    assert (reward > 0.98).all()  # it stands in the reference pose, but for its own weight
+
+
+def test_table_without_a_term_is_refused(make_base):
+    with pytest.raises(ValueError, match="at least one term"):
+        WeightedReward(make_base(), terms={"one": (None, ones)})

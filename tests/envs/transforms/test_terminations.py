@@ -1,0 +1,60 @@
+"""When episodes end, and how."""
+
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from zfall.envs.make import make_env
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.terminations import Terminations, time_limit
+
+
+def build(make_base, conditions, seconds: float = 0.4):
+    base = make_base(num_envs=3)
+    return make_env(
+        base,
+        {
+            "action": JointPositionTarget(base, scale=1.0),
+            "end": Terminations(base, conditions=conditions),
+            "limit": time_limit(base, seconds=seconds),
+        },
+    )
+
+
+def second_world(td, next_td):
+    return torch.tensor([[False], [True], [False]])
+
+
+def test_condition_ends_its_world_for_good_and_says_which_it_was(make_base):
+    env = build(make_base, {"mine": second_world, "off": None})
+    check_env_specs(env)
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    after = env.step(td)["next"]
+    for key in ("terminated", "done", ("terminations", "mine")):
+        assert after[key].squeeze().tolist() == [False, True, False]
+    assert not after["truncated"].any()
+    assert list(after["terminations"].keys()) == ["mine"]
+
+
+def test_time_limit_truncates_after_its_seconds(make_base):
+    env = build(make_base, {}, seconds=0.4)
+    rollout = env.rollout(20)
+    assert rollout.shape[1] == 10  # 0.4 s at 25 Hz
+    assert rollout["next", "truncated"][:, -1].all()
+    assert not rollout["next", "terminated"].any()
+
+
+def test_collecting_goes_on_in_a_new_episode(make_base):
+    env = build(make_base, {"mine": second_world})
+    td = env.reset()
+    td["action"] = torch.full((3, 20), 0.5)
+    data, td = env.step_and_maybe_reset(td)
+    assert data["next", "done"][1]
+    assert not td["done"].any()
+    assert td["step_count"].squeeze().tolist() == [1, 0, 1]
+
+
+def test_limit_shorter_than_a_step_is_refused(make_base):
+    with pytest.raises(ValueError, match=r"seconds must be at least control_dt 0.04, got 0.01"):
+        time_limit(make_base(), seconds=0.01)

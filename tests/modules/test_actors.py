@@ -1,0 +1,109 @@
+"""Actors and critics: shapes, sizes, and recurrence that replays."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.testing import assert_close
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.modules import set_recurrent_mode
+
+from zfall.modules.actors import gru_actor, mlp_actor, normalizer_of
+from zfall.modules.critics import gru_critic
+
+
+def specs(size: int = 50, critic: int = 484) -> tuple[Composite, Unbounded]:
+    shapes = {"observation": Unbounded((2, size)), "observation_critic": Unbounded((2, critic))}
+    return Composite(shapes, shape=(2,)), Unbounded((2, 20))
+
+
+def count(module: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+def test_zeroth_fall_networks_have_the_published_number_of_parameters():
+    """195 061 as published, plus two redundant bias vectors of 64 in each of six cells of torch."""
+    spec, action_spec = specs()
+    actor, critic = gru_actor(spec, action_spec), gru_critic(spec)
+    assert count(actor) == 89_460 + 3 * 128
+    assert count(critic) == 105_601 + 3 * 128
+    assert count(actor) + count(critic) == 195_061 + 768 == 195_829
+
+
+@pytest.mark.parametrize("build", [mlp_actor, gru_actor])
+@pytest.mark.parametrize("components", [0, 1, 3])
+def test_actor_gives_actions_and_their_log_probability(build, components):
+    spec, action_spec = specs()
+    actor = build(spec, action_spec, components=components)
+    td = TensorDict({"observation": torch.randn(2, 50), "is_init": torch.ones(2, 1).bool(),
+                     "recurrent_state_actor": torch.zeros(2, 3, 64)}, batch_size=[2])  # fmt: skip
+    out = actor(td.clone())
+    assert out["action"].shape == (2, 20)
+    assert_close(actor.get_dist(td).log_prob(out["action"]), out["action_log_prob"])
+
+
+@pytest.mark.parametrize("build", [mlp_actor, gru_actor])
+@pytest.mark.parametrize("components", [0, 3])
+def test_without_exploration_the_action_is_the_mean(build, components):
+    spec, action_spec = specs()
+    actor = build(spec, action_spec, components=components)
+    td = TensorDict({"observation": torch.randn(2, 50), "is_init": torch.ones(2, 1).bool(),
+                     "recurrent_state_actor": torch.zeros(2, 3, 64)}, batch_size=[2])  # fmt: skip
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert_close(actor(td.clone())["action"], actor.get_dist(td).mean)
+
+
+@pytest.mark.parametrize("std", [0.2, 0.6])
+@pytest.mark.parametrize("components", [0, 1])
+def test_actor_begins_with_the_deviation_asked(components, std):
+    spec, action_spec = specs()
+    actor = mlp_actor(spec, action_spec, components=components, std=std)
+    dist = actor.get_dist(TensorDict({"observation": torch.zeros(2, 50)}, batch_size=[2]))
+    assert_close(dist.variance.sqrt(), torch.full((2, 20), std), rtol=1e-3, atol=0)
+
+
+def test_layers_of_a_stacked_gru_begin_different():
+    actor = gru_actor(*specs())
+    weights = [p for name, p in actor.named_parameters() if "weight_hh" in name]
+    assert len(weights) == 3
+    assert not torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[1], weights[2])
+
+
+def test_replaying_a_sequence_gives_the_log_probabilities_of_collection():
+    """With resets at known and at random places, and a state carried in from before."""
+    worlds, steps = 6, 40
+    actor = gru_actor(*specs())
+    normalizer_of(actor).update(torch.randn(100, 50))
+    observation = torch.randn(worlds, steps, 50)
+    is_init = torch.rand(worlds, steps, 1) < 0.1
+    is_init[0, 7], is_init[1, 0], is_init[2, steps - 1] = True, True, True
+    state = torch.randn(worlds, 3, 64) * 0.3
+    rows = []
+    with torch.no_grad():
+        for t in range(steps):
+            td = TensorDict({"observation": observation[:, t], "is_init": is_init[:, t],
+                             "recurrent_state_actor": state}, batch_size=[worlds])  # fmt: skip
+            out = actor(td)
+            state = out["next", "recurrent_state_actor"]
+            rows.append(out)
+        batch = torch.stack(rows, 1)
+        with set_recurrent_mode(True):
+            replayed = actor.get_dist(batch).log_prob(batch["action"])
+    assert_close(replayed, batch["action_log_prob"], atol=1e-5, rtol=0)
+
+
+def test_replay_depends_on_the_stored_state_and_on_the_resets():
+    """The test above would see a lost state or a lost reset: both change the replay."""
+    actor = gru_actor(*specs())
+    batch = TensorDict({"observation": torch.randn(2, 10, 50), "is_init": torch.zeros(2, 10, 1).bool(),
+                        "recurrent_state_actor": torch.randn(2, 10, 3, 64)}, batch_size=[2, 10])  # fmt: skip
+    action = torch.zeros(2, 10, 20)
+    with torch.no_grad(), set_recurrent_mode(True):
+        base = actor.get_dist(batch).log_prob(action)
+        lost_state = batch.clone()
+        lost_state["recurrent_state_actor"].zero_()
+        lost_reset = batch.clone()
+        lost_reset["is_init"][:, 5] = True
+        for other in (lost_state, lost_reset):
+            assert (actor.get_dist(other).log_prob(action) - base).abs().max() > 1e-4

@@ -1,0 +1,1 @@
+"""zfall: a small humanoid that learns to stay up when it is pushed, and to fall well."""

@@ -1,0 +1,244 @@
+"""The base env: named physical quantities out, servo targets and forces in."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+from torchrl.envs.transforms.utils import _get_reset
+
+from zfall.envs.model import compile_model, push_targets, sensor_slices
+from zfall.envs.quantities import Quantities
+from zfall.envs.robots import ZEROTH01, PushPoint, Robot
+from zfall.envs.rotations import up_axis
+from zfall.envs.simulation import Simulation
+
+START_KEYS = (
+    "joint_position",
+    "joint_velocity",
+    "base_position",
+    "base_orientation",
+    "base_linear_velocity",
+    "base_angular_velocity",
+)
+
+
+class HumanoidEnv(EnvBase):
+    """A batch of humanoids on a flat floor, with no task.
+
+    Reads ``control``, servo targets ``(N, S, J)`` [rad] for each of the S physics steps of a
+    control step; if that key is absent, ``target`` ``(N, J)``, held for the whole step. Reads
+    ``("push", "wrench")`` ``(N, S, bodies, 6)`` [N, N m; world axes] if present; ``push_targets``
+    gives the index of each link and push point.
+
+    Writes the keys below (float32). Positions and velocities of joints and base are those at
+    the end of the step. Whatever else comes from MJCF sensors (com, feet, momentum) is one
+    physics step older, as MuJoCo computes it; after a reset it is that of the new state.
+
+    ======================== ========= ==============================================
+    key                      shape     content
+    ======================== ========= ==============================================
+    joint_position           J         [rad]
+    joint_velocity           J         [rad/s]
+    joint_torque             J         of the servos, mean over the step [N m]
+    base_position            3         [m; world]
+    base_orientation         4         (w, x, y, z), body to world
+    projected_gravity        3         direction of gravity in body axes, a unit vector
+    base_linear_velocity     3         [m/s; world]
+    base_angular_velocity    3         the gyro [rad/s; body]
+    base_acceleration        3         the accelerometer, mean over the step [m/s2; body]
+    base_acceleration_peak   1         largest norm of it over the step [m/s2], 9.81 at rest
+    com_position             3         [m; world]
+    com_velocity             3         [m/s; world]
+    linear_momentum          3         [kg m/s; world]
+    angular_momentum         3         about the center of mass [kg m2/s; world]
+    feet_position            2 x 3     center of the sole, left and right [m; world]
+    feet_orientation         2 x 4     (w, x, y, z), sole to world
+    feet_velocity            2 x 3     of the center of the sole [m/s; world]
+    feet_force               2 x 3     of the floor on the foot, last physics step [N; world]
+    feet_cop                 2 x 2     center of pressure [m; sole], 0 without contact
+    feet_corner_force        2 x 4     vertical, last physics step [N]
+    feet_contact             2         bool, at the last physics step
+    contact_force_peak       R         norm of the floor's force on each of ``regions``,
+                                       largest over the step [N]
+    diverged                 1         bool, the physics failed; the world has terminated
+    ======================== ========= ==============================================
+
+    ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
+    its TensorDict say, NAME being one of ``START_KEYS``. Without ``("start", "base_position")``
+    the lowest corner of the soles is put on the floor.
+
+    Args:
+        num_envs: number of worlds N.
+        control_dt: time between two actions [s], a multiple of ``physics_dt``.
+        physics_dt: timestep of the physics [s].
+        robot: the robot.
+        push_points: points for pushes besides the robot's own, by name.
+        servos: whether the servos act at all; without them the robot is limp.
+        threads: threads for the physics; all cores if ``None``.
+
+    Raises:
+        ValueError: on a bad number of worlds or time step, or an MJCF that lacks something.
+    """
+
+    _has_frame_skip = True  # substeps are ours: keeps TorchRL from wrapping the env
+    batch_locked = True
+
+    def __init__(
+        self,
+        *,
+        num_envs: int,
+        control_dt: float,
+        physics_dt: float = 0.004,
+        robot: Robot = ZEROTH01,
+        push_points: dict[str, PushPoint] | None = None,
+        servos: bool = True,
+        threads: int | None = None,
+    ):
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, got {num_envs}.")
+        if not physics_dt > 0:
+            raise ValueError(f"physics_dt must be positive, got {physics_dt}.")
+        substeps = round(control_dt / physics_dt)
+        if substeps < 1 or abs(substeps * physics_dt - control_dt) > 1e-9:
+            raise ValueError(
+                f"control_dt must be a multiple of physics_dt, got control_dt {control_dt} with "
+                f"physics_dt {physics_dt}; {max(substeps, 1) * physics_dt:g} would be."
+            )
+        super().__init__(device="cpu", batch_size=[num_envs])
+        self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
+        self.control_dt, self.physics_dt = control_dt, physics_dt
+        self.regions = robot.regions
+        model = compile_model(
+            robot, physics_dt=physics_dt, push_points=push_points, servos=servos
+        )
+        self.simulation = Simulation(model, num_envs, substeps, threads)
+        self.push_targets = push_targets(model)
+        self.num_bodies = model.nbody - 1
+        self.mass = float(model.body_mass.sum())
+        self.rng = torch.Generator()
+        joints = [model.joint(name) for name in robot.joints]
+        self.joint_range = torch.from_numpy(np.stack([j.range for j in joints])).float()
+        self.stand_position = torch.tensor(robot.stand_position)
+        self._stand = torch.tensor(model.key("stand").qpos.copy())
+        self._quantities = Quantities(
+            robot,
+            sensor_slices(model),
+            torch.tensor([int(j.qposadr[0]) for j in joints]),
+            torch.tensor([int(j.dofadr[0]) for j in joints]),
+            self.mass,
+        )
+        # Joints in the order of the model's actuators.
+        self._to_actuators = torch.tensor(
+            [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
+        )
+        self._wrench = torch.zeros(num_envs, substeps, self.num_bodies, 6)
+        self._make_spec()
+        self.set_seed(0)
+
+    def zero_wrench(self) -> Tensor:
+        """A wrench ``(N, S, bodies, 6)`` of zeros, kept by the env and lent for one step."""
+        return self._wrench.zero_()
+
+    def _make_spec(self) -> None:
+        n, joints = self.num_envs, len(self.robot.joints)
+        shapes = {
+            **dict.fromkeys(("joint_position", "joint_velocity", "joint_torque"), (joints,)),
+            **dict.fromkeys(("base_position", "projected_gravity"), (3,)),
+            **dict.fromkeys(("base_linear_velocity", "base_angular_velocity"), (3,)),
+            **{"base_orientation": (4,), "base_acceleration": (3,), "base_acceleration_peak": (1,)},
+            **dict.fromkeys(("com_position", "com_velocity"), (3,)),
+            **dict.fromkeys(("linear_momentum", "angular_momentum"), (3,)),
+            **dict.fromkeys(("feet_position", "feet_velocity", "feet_force"), (2, 3)),
+            **{"feet_orientation": (2, 4), "feet_cop": (2, 2), "feet_corner_force": (2, 4)},
+            "contact_force_peak": (len(self.regions),),
+        }
+        self.observation_spec = Composite(
+            {key: Unbounded((n, *shape)) for key, shape in shapes.items()}
+            | {
+                "feet_contact": Binary(2, shape=(n, 2), dtype=torch.bool),
+                "diverged": Binary(1, shape=(n, 1), dtype=torch.bool),
+            },
+            shape=(n,),
+        )
+        low, high = self.joint_range.unbind(-1)
+        steps = (n, self.substeps, joints)
+        self.full_action_spec = Composite(
+            control=Bounded(low.expand(steps).clone(), high.expand(steps).clone(), steps),
+            shape=(n,),
+        )
+        self.full_reward_spec = Composite(shape=(n,))  # a task's transforms give the reward
+        flags = ("done", "terminated", "truncated")
+        self.full_done_spec = Composite(
+            {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in flags}, shape=(n,)
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        control = tensordict.get("control", None)
+        if control is None:
+            control = tensordict["target"][:, None].expand(-1, self.substeps, -1)
+        wrench = tensordict.get(("push", "wrench"), None)
+        sensors = self.simulation.step(control[..., self._to_actuators], wrench)
+        diverged = self.simulation.diverged
+        if diverged.any():  # such a world ends here, in a state the learner can read
+            sensors = self._place(diverged, {})
+        return self._observe(sensors, diverged[:, None])
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
+        rows = _get_reset("_reset", source).reshape(self.num_envs)
+        start = {key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)}
+        sensors = self._place(rows, start)[:, -1:]  # the same in all steps of the new rows
+        return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool))
+
+    def _observe(self, sensors: Tensor, diverged: Tensor) -> TensorDictBase:
+        """All keys; the episode ends only where the physics failed."""
+        out = self._quantities(self.simulation.qpos, self.simulation.qvel, sensors)
+        for key in ("diverged", "terminated", "done"):
+            out[key] = diverged.clone()
+        out["truncated"] = torch.zeros_like(diverged)
+        return out
+
+    def _place(self, rows: Tensor, start: dict[str, Tensor]) -> Tensor:
+        """Puts worlds into their start state; returns the sensor values of all worlds."""
+        count = int(rows.sum())
+        qpos = self._stand.repeat(count, 1)
+        qvel = torch.zeros(count, self.simulation.qvel.shape[1], dtype=torch.float64)
+        places: dict[str, tuple[Tensor, Any]] = {
+            "joint_position": (qpos, self._quantities.qpos_index),
+            "joint_velocity": (qvel, self._quantities.qvel_index),
+            "base_position": (qpos, slice(0, 3)),
+            "base_orientation": (qpos, slice(3, 7)),
+            "base_linear_velocity": (qvel, slice(0, 3)),
+            "base_angular_velocity": (qvel, slice(3, 6)),
+        }
+        for key, value in start.items():
+            state, columns = places[key]
+            state[:, columns] = value[rows].double()
+        control = self.stand_position.double()[self._to_actuators].repeat(count, 1)
+        if start and "base_position" not in start:
+            qpos[:, 2] -= self._clearance(qpos, qvel, control)
+        return self.simulation.reset(rows, qpos, qvel, control)
+
+    def _clearance(self, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
+        """Height of the lowest corner of the soles above the floor ``(K,)`` [m]."""
+        sensors = self.simulation.sensors_of(qpos, qvel, control)
+        feet = self._quantities(qpos, qvel, sensors[:, None])
+        slope = up_axis(feet["feet_orientation"])[..., :2].abs()
+        drop = (slope * torch.tensor(self.robot.sole_half_size)).sum(-1)
+        return (feet["feet_position"][..., 2] - drop).amin(-1).double()
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.rng.manual_seed(0 if seed is None else int(seed))
+
+    def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        """State of the physics and of the random generator, enough to go on bit for bit."""
+        return {"simulation": self.simulation.state_dict(), "rng": self.rng.get_state()}
+
+    def load_state_dict(self, state_dict: dict[str, Any], *args: Any, **kwargs: Any) -> None:
+        """Restores what ``state_dict`` gave."""
+        self.simulation.load_state_dict(state_dict["simulation"])
+        self.rng.set_state(state_dict["rng"])

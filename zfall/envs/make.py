@@ -1,0 +1,59 @@
+"""Puts a task together: a base env and a table of transforms."""
+
+import inspect
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from hydra.utils import get_object, instantiate
+from omegaconf import DictConfig
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+
+from zfall.envs.humanoid import HumanoidEnv
+
+
+def make_env(
+    base_env: EnvBase | Mapping[str, Any],
+    transforms: Mapping[str, Transform | Mapping[str, Any]],
+    *,
+    training_only: Collection[str] = (),
+    training: bool = True,
+) -> TransformedEnv:
+    """Builds an env whose transforms run in the order of the table, which is that of the data.
+
+    Those that work on the way from the policy to the physics (they have ``in_keys_inv``) run in
+    the order given, before the step; the others run in the order given, after it. TorchRL runs
+    the first kind from last to first: here the table is turned around for it.
+
+    Args:
+        base_env: the env, or its config with a ``_target_``.
+        transforms: by name, transforms or their configs. A class whose first parameter is named
+            ``env`` is given the base env.
+        training_only: names of transforms that evaluation leaves out: pushes, noise, delays,
+            randomisation.
+        training: whether to keep them.
+
+    Raises:
+        ValueError: if ``training_only`` names a transform that is not in the table.
+    """
+    unknown = [name for name in training_only if name not in transforms]
+    if unknown:
+        raise ValueError(
+            f"training_only must name transforms of the table ({', '.join(transforms)}), "
+            f"got {', '.join(unknown)}."
+        )
+    env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
+    used = {k: v for k, v in transforms.items() if training or k not in training_only}
+    built = [build_transform(transform, env) for transform in used.values()]
+    before = [transform for transform in built if transform.in_keys_inv]
+    after = [transform for transform in built if not transform.in_keys_inv]
+    return TransformedEnv(env, Compose(*reversed(before), *after))
+
+
+def build_transform(transform: Transform | Mapping[str, Any], env: HumanoidEnv) -> Transform:
+    """A transform from its config, given the base env if its first parameter is ``env``."""
+    if isinstance(transform, Transform):
+        return transform
+    parameters = list(inspect.signature(get_object(transform["_target_"])).parameters)
+    args = (env,) if parameters[:1] == ["env"] else ()
+    config = transform if isinstance(transform, DictConfig) else dict(transform)
+    return instantiate(config, *args, _convert_="all")

@@ -1,0 +1,107 @@
+"""From a robot's MJCF to the compiled model that an env steps."""
+
+import mujoco
+
+from zfall.envs.robots import PushPoint, Robot
+
+_POINT = "push_point/"  # prefix of the massless bodies that stand for push points
+
+
+def compile_model(
+    robot: Robot,
+    *,
+    physics_dt: float,
+    push_points: dict[str, PushPoint] | None = None,
+    servos: bool = True,
+) -> mujoco.MjModel:
+    """Compiles the robot's MJCF with a massless body welded to each push point.
+
+    MuJoCo applies forces at the center of mass of a body. A body without mass that is fixed to
+    a link at an offset makes a force there exact at every physics step, the torque included,
+    and changes nothing else.
+
+    Args:
+        robot: the robot.
+        physics_dt: timestep [s].
+        push_points: points besides those of the robot, by name.
+        servos: whether the actuators act at all; without them the robot is limp.
+
+    Raises:
+        ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, or a
+            push point names a link that does not exist.
+    """
+    spec = mujoco.MjSpec.from_file(robot.mjcf)
+    spec.option.timestep = physics_dt
+    _check(spec, robot)
+    plain = spec.compile()
+    links = [body.name for body in spec.bodies if body.name != "world"]
+    for name, point in {**robot.push_points, **(push_points or {})}.items():
+        if point.body not in links:
+            raise ValueError(
+                f"push_points.{name}: body must be one of {', '.join(links)}, got {point.body!r}."
+            )
+        offset = _in_link_axes(plain, point)
+        spec.body(point.body).add_body(name=_POINT + name, pos=offset)
+    model = spec.compile()
+    if not servos:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    return model
+
+
+def push_targets(model: mujoco.MjModel) -> dict[str, int]:
+    """Index in the ``bodies`` dimension of a wrench, of every push point and every link."""
+    names = [model.body(i).name for i in range(1, model.nbody)]
+    points = {name.removeprefix(_POINT): i for i, name in enumerate(names) if _POINT in name}
+    return points | {name: i for i, name in enumerate(names) if _POINT not in name}
+
+
+def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
+    """Where each sensor's values lie in ``sensordata``, by name."""
+    return {
+        model.sensor(i).name: slice(adr, adr + dim)
+        for i, (adr, dim) in enumerate(zip(model.sensor_adr, model.sensor_dim, strict=True))
+    }
+
+
+def _in_link_axes(model: mujoco.MjModel, point: PushPoint) -> list[float]:
+    """Position of a push point in its link's frame, from an offset in the root link's axes."""
+    if point.offset is None:
+        return [0.0, 0.0, 0.0]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)  # at qpos0 the root link's axes are those of the world
+    axes = data.body(point.body).xmat.reshape(3, 3)
+    return list(model.body(point.body).ipos + axes.T @ point.offset)
+
+
+def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Raises if the MJCF lacks something the env needs, naming all that it lacks."""
+    sensors = {sensor.name for sensor in spec.sensors}
+    needed = {
+        *("base_acceleration", "com_position", "com_velocity", "angular_momentum"),
+        *(f"joint_torque/{joint}" for joint in robot.joints),
+        *(f"feet_{k}/{foot}" for k in ("position", "orientation", "velocity") for foot in robot.feet),
+        *(f"feet_contact/{foot}" for foot in robot.feet),
+        *(f"feet_corner_force/{foot}/{c}" for foot in robot.feet for c in robot.corners),
+    }
+    lacking = sorted(needed - sensors)
+    lacking += [
+        f"contact_force_peak/{region}"
+        for region in robot.regions
+        if not any(name_in_region(name, region) for name in sensors)
+    ]
+    if lacking:
+        raise ValueError(f"{robot.mjcf} must have a sensor for every key, lacks {', '.join(lacking)}.")
+    for kind, named in (("joint", spec.joints), ("actuator", spec.actuators)):
+        missing = sorted(set(robot.joints) - {x.name for x in named})
+        if missing:
+            raise ValueError(
+                f"{robot.mjcf} must have the joints and actuators of robot.joints, "
+                f"lacks the {kind} {', '.join(missing)}."
+            )
+    if spec.key("stand") is None:
+        raise ValueError(f"{robot.mjcf} must have a keyframe named 'stand'.")
+
+
+def name_in_region(sensor: str, region: str) -> bool:
+    """Whether a contact sensor belongs to a region: ``contact_force_peak/REGION[/PART]``."""
+    return sensor.split("/")[:2] == ["contact_force_peak", region]

@@ -1,0 +1,90 @@
+"""Named physical quantities from the state and the sensor values of a step."""
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from zfall.envs.model import name_in_region
+from zfall.envs.robots import Robot
+from zfall.envs.rotations import rotate_inverse, up_axis
+
+
+class Quantities:
+    """Reads the keys of ``HumanoidEnv`` out of MuJoCo's arrays.
+
+    Args:
+        robot: gives the names of joints, feet, corners and regions.
+        sensors: where each MJCF sensor's values lie in ``sensordata``.
+        qpos_index, qvel_index: where each joint's angle and speed lie in the state ``(J,)``.
+        mass: total mass [kg].
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sensors: dict[str, slice],
+        qpos_index: Tensor,
+        qvel_index: Tensor,
+        mass: float,
+    ):
+        self.qpos_index, self.qvel_index, self.mass = qpos_index, qvel_index, mass
+
+        def columns(*names: str) -> Tensor:
+            places = [torch.arange(sensors[name].start, sensors[name].stop) for name in names]
+            return torch.stack(places)
+
+        self._acceleration = columns("base_acceleration")[0]
+        self._torque = columns(*(f"joint_torque/{joint}" for joint in robot.joints))[:, 0]
+        self._last = {
+            key: columns(key)[0] for key in ("com_position", "com_velocity", "angular_momentum")
+        }
+        for key in ("feet_position", "feet_orientation", "feet_velocity"):
+            self._last[key] = columns(*(f"{key}/{foot}" for foot in robot.feet))
+        self._contact = columns(*(f"feet_contact/{foot}" for foot in robot.feet))
+        corners = (f"{foot}/{corner}" for foot in robot.feet for corner in robot.corners)
+        self._corners = columns(*(f"feet_corner_force/{corner}" for corner in corners))[:, 2]
+        named = [(r, s) for r in robot.regions for s in sensors if name_in_region(s, r)]
+        self._region_force = columns(*(sensor for _, sensor in named))
+        self._region = torch.tensor([robot.regions.index(region) for region, _ in named])
+        self._num_regions = len(robot.regions)
+
+    def __call__(self, qpos: Tensor, qvel: Tensor, sensors: Tensor) -> TensorDict:
+        """Quantities ``(K, ...)`` float32 of K worlds.
+
+        Args:
+            qpos, qvel: states at the end of a control step, float64.
+            sensors: sensor values of its S physics steps ``(K, S, nsensordata)``.
+        """
+        qpos, qvel, values = qpos.float(), qvel.float(), sensors.float()
+        last, orientation = values[:, -1], qpos[:, 3:7].contiguous()
+        acceleration = values[..., self._acceleration]
+        out = {
+            "joint_position": qpos[:, self.qpos_index],
+            "joint_velocity": qvel[:, self.qvel_index],
+            "joint_torque": values[..., self._torque].mean(1),
+            "base_position": qpos[:, :3].contiguous(),
+            "base_orientation": orientation,
+            "projected_gravity": -up_axis(orientation),
+            "base_linear_velocity": qvel[:, :3].contiguous(),
+            "base_angular_velocity": qvel[:, 3:6].contiguous(),
+            "base_acceleration": acceleration.mean(1),
+            "base_acceleration_peak": acceleration.norm(dim=-1).amax(1, keepdim=True),
+            "contact_force_peak": self._peak_force(values),
+        }
+        out |= {key: last[:, columns] for key, columns in self._last.items()}
+        out["linear_momentum"] = self.mass * out["com_velocity"]
+        contact = last[:, self._contact]  # found, force of the foot on the floor, its center
+        touching = contact[..., 0] > 0
+        from_center = contact[..., 4:7] - out["feet_position"]
+        center = rotate_inverse(out["feet_orientation"], from_center)[..., :2]
+        out["feet_contact"] = touching
+        out["feet_force"] = -contact[..., 1:4]
+        out["feet_cop"] = torch.where(touching[..., None], center, 0.0)
+        out["feet_corner_force"] = -last[:, self._corners].unflatten(-1, (2, -1))
+        return TensorDict(out, batch_size=[len(qpos)])
+
+    def _peak_force(self, values: Tensor) -> Tensor:
+        """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
+        parts = values[..., self._region_force]  # (K, S, sensors, 3)
+        total = parts.new_zeros(*parts.shape[:2], self._num_regions, 3)
+        return total.index_add_(2, self._region, parts).norm(dim=-1).amax(1)

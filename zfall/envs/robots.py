@@ -1,0 +1,132 @@
+"""Robots as data. A second robot is one more MJCF and one more value here."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+_ASSETS = Path(__file__).parent / "assets"
+
+GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushPoint:
+    """A point fixed to a link, at which a force may act.
+
+    Args:
+        body: name of the link.
+        offset: from the link's center of mass, in the axes of the root link [m]. ``None``
+            stands for the origin of the link's own frame, a joint of a limb for instance.
+    """
+
+    body: str
+    offset: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """What the framework must know of a robot besides its MJCF.
+
+    Args:
+        name: short name, stored in checkpoints.
+        mjcf: path of an MJCF that compiles by itself and has a sensor for every key of the env.
+        joints: joint names, in the order of every vector over joints.
+        stand: the joints of the standing reference pose that are not at zero [rad].
+        feet: names of the left and the right foot, as in ``feet_position/left``.
+        corners: names of the corners of a sole, as in ``feet_corner_force/left/front_left``.
+        sole_half_size: half the length and half the width of a sole [m].
+        regions: parts of the body whose contact with the floor is told apart; the last two are
+            the left and the right foot.
+        push_points: named points at which pushes act.
+        mirror: for each joint, the joint on the other side.
+        mirror_keeps_sign: words in the names of joints whose angle keeps its sign when left and
+            right are exchanged.
+        com_height: height of the center of mass above the floor in the standing pose [m].
+        mass: total mass [kg].
+    """
+
+    name: str
+    mjcf: str
+    joints: tuple[str, ...]
+    stand: dict[str, float]
+    feet: tuple[str, str]
+    corners: tuple[str, ...]
+    sole_half_size: tuple[float, float]
+    regions: tuple[str, ...]
+    push_points: dict[str, PushPoint]
+    mirror: dict[str, str]
+    mirror_keeps_sign: tuple[str, ...]
+    com_height: float
+    mass: float
+
+    @property
+    def stand_position(self) -> tuple[float, ...]:
+        """Standing reference pose in the order of ``joints`` [rad]."""
+        return tuple(self.stand.get(joint, 0.0) for joint in self.joints)
+
+    @property
+    def impulse_unit(self) -> float:
+        """Impulse of dimensionless size 1, ``m sqrt(g h0)`` [N s]."""
+        return self.mass * (GRAVITY * self.com_height) ** 0.5
+
+    @property
+    def mirror_index(self) -> tuple[int, ...]:
+        """Position of each joint's counterpart in ``joints``."""
+        return tuple(self.joints.index(self.mirror[joint]) for joint in self.joints)
+
+    @property
+    def mirror_sign(self) -> tuple[float, ...]:
+        """Factor on each joint's angle when left and right are exchanged, 1 or -1."""
+        keeps = self.mirror_keeps_sign
+        return tuple(1.0 if any(w in joint for w in keeps) else -1.0 for joint in self.joints)
+
+
+_LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee_pitch", "ankle_pitch", "ankle_roll")
+_ARM = ("shoulder_pitch", "shoulder_roll", "elbow_roll", "gripper_roll")
+_JOINTS = tuple(
+    f"{side}_{joint}"
+    for side, joints in (("right", _LEG), ("left", _LEG), ("left", _ARM), ("right", _ARM))
+    for joint in joints
+)
+_LIMBS = ("arm", "hand", "thigh", "knee", "shin", "foot")
+
+
+def _other_side(joint: str) -> str:
+    side, part = joint.split("_", 1)
+    return f"{'left' if side == 'right' else 'right'}_{part}"
+
+
+ZEROTH01 = Robot(
+    name="zeroth01",
+    mjcf=str(_ASSETS / "zeroth01.xml"),
+    joints=_JOINTS,
+    stand={
+        "right_hip_roll": -0.1,
+        "right_hip_pitch": -0.4,
+        "right_knee_pitch": -0.8,
+        "right_ankle_pitch": -0.4,
+        "right_ankle_roll": -0.1,
+        "left_hip_roll": 0.1,
+        "left_hip_pitch": -0.4,
+        "left_knee_pitch": -0.8,
+        "left_ankle_pitch": -0.4,
+        "left_ankle_roll": 0.1,
+        "left_shoulder_roll": 0.2,
+        "left_elbow_roll": -0.2,
+        "right_shoulder_roll": -0.2,
+        "right_elbow_roll": 0.2,
+    },
+    feet=("left", "right"),
+    corners=("front_left", "front_right", "rear_left", "rear_right"),
+    sole_half_size=(0.051723, 0.037),
+    regions=("head", "torso", *(f"{side}_{limb}" for limb in _LIMBS for side in ("left", "right"))),
+    push_points={
+        "torso": PushPoint(body="Top_Brace"),
+        "pelvis": PushPoint(body="floating_base_link", offset=(0.0, 0.0, -0.089)),
+        "chest": PushPoint(body="floating_base_link", offset=(0.0, 0.0, 0.026)),
+        "elbow": PushPoint(body="R_ARM_MIRROR_1", offset=None),  # its frame is the left elbow
+    },
+    mirror={joint: _other_side(joint) for joint in _JOINTS},
+    mirror_keeps_sign=("hip_pitch", "knee_pitch", "ankle_pitch"),
+    com_height=0.220,
+    mass=3.3494,
+)

@@ -1,0 +1,136 @@
+"""The only place that steps MuJoCo: a batch of worlds on the CPU."""
+
+import os
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from torch import Tensor
+
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+
+
+class Simulation:
+    """Worlds of one MuJoCo model, stepped together by ``mujoco.rollout`` on all cores.
+
+    Every call starts the constraint solver cold, so that the result depends on the state and the
+    inputs alone: not on the number of threads, and not on what ran before.
+
+    Args:
+        model: compiled model; its timestep is the physics step.
+        num_worlds: number of worlds N.
+        substeps: physics steps S in one call of ``step``.
+        threads: threads of the pool; all cores if ``None``.
+
+    Attributes:
+        qpos: positions ``(N, nq)`` float64, in MuJoCo's order.
+        qvel: velocities ``(N, nv)`` float64.
+        diverged: worlds whose last ``step`` gave a state that is not finite ``(N,)`` bool.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, num_worlds: int, substeps: int, threads: int | None = None
+    ):
+        # Without this MuJoCo would put a diverged world back to its initial state and go on.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.model, self.substeps = model, substeps
+        self.threads = threads or len(os.sched_getaffinity(0))
+        self._pool = rollout.Rollout(nthread=self.threads)
+        self._data = [mujoco.MjData(model) for _ in range(self.threads)]
+        size = mujoco.mj_stateSize(model, _STATE)
+        inputs = model.nu + 6 * model.nbody
+        self._state = torch.zeros(num_worlds, size, dtype=torch.float64)
+        self._states = torch.zeros(num_worlds, substeps, size, dtype=torch.float64)
+        self._inputs = torch.zeros(num_worlds, substeps, inputs, dtype=torch.float64)
+        self._sensors = torch.zeros(
+            num_worlds, substeps, model.nsensordata, dtype=torch.float64
+        )
+        self.diverged = torch.zeros(num_worlds, dtype=torch.bool)
+        end = 1 + model.nq  # the state begins with the time
+        self.qpos = self._state[:, 1:end]
+        self.qvel = self._state[:, end : end + model.nv]
+
+    def step(self, control: Tensor, wrench: Tensor | None = None) -> Tensor:
+        """Takes S physics steps in every world.
+
+        Args:
+            control: actuator inputs ``(N, S, nu)``.
+            wrench: force and torque on each body but the world ``(N, S, nbody - 1, 6)``
+                [N, N m; world axes, at the body's center of mass], or ``None`` for none.
+
+        Returns:
+            All sensor values of the S steps ``(N, S, nsensordata)`` float64, a buffer that the
+            next call overwrites. Those of step i describe the state before it and the forces in
+            it. Rows that ``diverged`` are not to be used.
+        """
+        nu = self.model.nu
+        self._inputs[:, :, :nu] = control
+        if wrench is None:
+            self._inputs[:, :, nu:] = 0.0
+        else:  # the world body, which comes first, keeps its zeros
+            self._inputs[:, :, nu + 6 :] = wrench.flatten(-2)
+        self._roll(self._state, self._inputs, self._states, self._sensors)
+        self._state.copy_(self._states[:, -1])
+        # One sum per world finds every value that is not finite.
+        total = self._state.sum(-1) + self._sensors.sum((-2, -1))
+        self.diverged = ~total.isfinite()
+        return self._sensors
+
+    def reset(self, rows: Tensor, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
+        """Puts the worlds in ``rows`` ``(N,)`` bool into a new state.
+
+        Args:
+            rows: which worlds.
+            qpos, qvel: states of those worlds ``(K, nq)`` and ``(K, nv)``.
+            control: actuator inputs for which the sensors are computed ``(K, nu)``.
+
+        Returns:
+            Sensor values as from ``step``, where all S entries of a row in ``rows`` hold the
+            values of its new state, and the other rows are as the last ``step`` left them.
+        """
+        self._state[rows] = self._full_state(qpos, qvel)
+        self._sensors[rows] = self.sensors_of(qpos, qvel, control)[:, None]
+        self.diverged = self.diverged & ~rows
+        return self._sensors
+
+    def sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
+        """Sensor values ``(K, nsensordata)`` of any states, arguments as in ``reset``."""
+        state = self._full_state(qpos, qvel)
+        inputs = torch.zeros(len(state), 1, self._inputs.shape[-1], dtype=torch.float64)
+        inputs[:, 0, : self.model.nu] = control
+        states = torch.empty(len(state), 1, state.shape[-1], dtype=torch.float64)
+        sensors = torch.empty(len(state), 1, self.model.nsensordata, dtype=torch.float64)
+        if len(state):  # the sensors of a step are those of the state before it
+            self._roll(state, inputs, states, sensors)
+        return sensors[:, 0]
+
+    def _full_state(self, qpos: Tensor, qvel: Tensor) -> Tensor:
+        state = torch.zeros(len(qpos), self._state.shape[1], dtype=torch.float64)
+        end = 1 + self.model.nq
+        state[:, 1:end] = qpos
+        state[:, end : end + self.model.nv] = qvel
+        return state
+
+    def _roll(self, state: Tensor, inputs: Tensor, states: Tensor, sensors: Tensor) -> None:
+        arrays = [np.asarray(x) for x in (state, inputs, states, sensors)]
+        self._pool.rollout(
+            self.model,
+            self._data,
+            arrays[0],
+            arrays[1],
+            control_spec=_INPUT,
+            nstep=inputs.shape[1],
+            state=arrays[2],
+            sensordata=arrays[3],
+        )
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything that ``step`` depends on."""
+        return {"state": self._state.clone(), "sensors": self._sensors.clone()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restores what ``state_dict`` gave."""
+        self._state.copy_(state["state"])
+        self._sensors.copy_(state["sensors"])

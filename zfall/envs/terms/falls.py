@@ -1,0 +1,31 @@
+"""Conditions under which a robot counts as fallen."""
+
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.rotations import tilt
+
+
+def body_contact(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
+    """Whether any region but the feet touched the floor during the step.
+
+    Reads ``contact_force_peak`` ``(*B, R)`` [N], whose last two regions are the feet.
+    Returns ``(*B, 1)`` bool.
+    """
+    return (next_td["contact_force_peak"][..., :-2] > 0).any(-1, keepdim=True)
+
+
+def tilted(td: TensorDictBase, next_td: TensorDictBase, *, angle: float) -> Tensor:
+    """Whether the trunk leans by more than ``angle`` [rad].
+
+    Reads ``base_orientation`` ``(*B, 4)``. Returns ``(*B, 1)`` bool.
+    """
+    return (tilt(next_td["base_orientation"]) > angle).unsqueeze(-1)
+
+
+def low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor:
+    """Whether the center of mass is lower than ``height`` [m] above the floor.
+
+    Reads ``com_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)`` bool.
+    """
+    return next_td["com_position"][..., 2:] < height

@@ -1,0 +1,81 @@
+"""How an episode begins."""
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import Transform
+from torchrl.envs.transforms.utils import _get_reset
+
+from zfall.envs.humanoid import START_KEYS, HumanoidEnv
+
+
+class NoisyStart(Transform):
+    """Starts episodes in the standing pose with Gaussian noise, soles on the floor.
+
+    Writes ``("start", "joint_position")`` [rad] and ``("start", "joint_velocity")`` [rad/s]
+    ``(N, J)`` for the reset of the base env; angles are clamped to the joint ranges.
+
+    Args:
+        env: the base env.
+        joint_position: standard deviation of each angle [rad].
+        joint_velocity: standard deviation of each speed [rad/s].
+
+    Raises:
+        ValueError: on a negative standard deviation.
+    """
+
+    def __init__(
+        self, env: HumanoidEnv, *, joint_position: float = 0.0, joint_velocity: float = 0.0
+    ):
+        super().__init__()
+        for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
+            if std < 0:
+                raise ValueError(f"{name} must not be negative, got {std}.")
+        self.joint_position, self.joint_velocity = joint_position, joint_velocity
+        self.rng, self.stand, self.range = env.rng, env.stand_position, env.joint_range
+        self.num_envs = env.num_envs
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        noise = torch.randn(2, self.num_envs, len(self.stand), generator=self.rng)
+        low, high = self.range.unbind(-1)
+        angle = torch.clamp(self.stand + self.joint_position * noise[0], low, high)
+        tensordict["start", "joint_position"] = angle
+        tensordict["start", "joint_velocity"] = self.joint_velocity * noise[1]
+        return tensordict
+
+
+class ScriptedStart(Transform):
+    """Starts every world in a state given beforehand.
+
+    Writes the keys ``("start", NAME)`` for the reset of the base env, NAME being one of
+    ``zfall.envs.humanoid.START_KEYS``, from ``states``, which may be changed between episodes.
+
+    Args:
+        env: the base env.
+        states: by name, values ``(N, ...)`` for each world.
+
+    Raises:
+        ValueError: on a name that is not one of ``START_KEYS``.
+    """
+
+    def __init__(self, env: HumanoidEnv, *, states: dict[str, Tensor]):
+        super().__init__()
+        unknown = sorted(set(states) - set(START_KEYS))
+        if unknown:
+            raise ValueError(f"states must be of {', '.join(START_KEYS)}, got {unknown[0]}.")
+        self.states, self.num_envs = states, env.num_envs
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        for name, value in self.states.items():
+            tensordict["start", name] = value
+        return tensordict
+
+
+def reset_rows(tensordict: TensorDictBase) -> Tensor:
+    """The worlds that a reset touches ``(N,)`` bool."""
+    return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)

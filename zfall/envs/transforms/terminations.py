@@ -1,0 +1,68 @@
+"""When an episode ends."""
+
+from collections.abc import Callable
+
+from tensordict import TensorDictBase
+from torch import Tensor
+from torch import bool as bool_
+from torchrl.data import Binary, Composite
+from torchrl.envs import StepCounter, Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.terms import bind
+
+
+class Terminations(Transform):
+    """Ends an episode for good as soon as one of several conditions holds.
+
+    Keys: sets ``terminated`` and ``done`` ``(N, 1)`` where a condition holds, and writes each
+    condition under ``("terminations", name)`` ``(N, 1)`` bool.
+
+    Args:
+        env: the base env; conditions with a parameter ``robot`` are given its robot.
+        conditions: ``name: condition``, a function of the TensorDicts before and after the step
+            that returns ``(N, 1)`` bool. ``null`` leaves the condition out.
+    """
+
+    def __init__(self, env: HumanoidEnv, *, conditions: dict[str, Callable[..., Tensor] | None]):
+        super().__init__()
+        self.conditions = {
+            name: bind(condition, env.robot)
+            for name, condition in conditions.items()
+            if condition is not None
+        }
+
+    def _step(
+        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
+    ) -> TensorDictBase:
+        for name, condition in self.conditions.items():
+            holds = condition(tensordict, next_tensordict)
+            next_tensordict["terminations", name] = holds
+            for key in ("terminated", "done"):  # collectors look at "done" alone
+                next_tensordict[key] = next_tensordict[key] | holds
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        for name in self.conditions:
+            tensordict_reset["terminations", name] = tensordict_reset["done"].clone()
+        return tensordict_reset
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        shape = (*observation_spec.shape, 1)
+        for name in self.conditions:
+            observation_spec["terminations", name] = Binary(1, shape=shape, dtype=bool_)
+        return observation_spec
+
+
+def time_limit(env: HumanoidEnv, *, seconds: float) -> StepCounter:
+    """Truncates an episode after so many seconds; counts its steps under ``step_count``.
+
+    Raises:
+        ValueError: if that is not at least one control step.
+    """
+    steps = round(seconds / env.control_dt)
+    if steps < 1:
+        raise ValueError(f"seconds must be at least control_dt {env.control_dt}, got {seconds}.")
+    return StepCounter(max_steps=steps)

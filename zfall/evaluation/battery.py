@@ -1,0 +1,197 @@
+"""Push batteries: what is tried, and how it is run."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+import yaml
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type, step_mdp
+from torchrl.modules.utils import get_primers_from_module
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.make import make_env
+from zfall.envs.transforms.pushes import ScriptedPush
+from zfall.envs.transforms.starts import ScriptedStart
+from zfall.evaluation.metrics import Outcomes
+
+BLOCK = 64  # worlds in one call of a policy, always: a trial re-run alone is the same trial
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Battery:
+    """Definition of a planar battery; see ``batteries.yaml`` for the meaning of the fields."""
+
+    version: int
+    name: str
+    point: str
+    directions: int
+    impulses: tuple[float, ...]
+    starts: int
+    start_noise: float
+    push_time: float
+    duration: float
+    end_time: float
+    max_tilt: float
+    min_height: float
+
+
+def load_battery(name: str, **options: Any) -> Battery:
+    """A battery by name, with some of its numbers replaced.
+
+    Raises:
+        ValueError: if there is no such battery or no such option.
+    """
+    table = yaml.safe_load(files("zfall.evaluation").joinpath("batteries.yaml").read_text())
+    version = table.pop("battery_version")
+    if name not in table:
+        raise ValueError(f"battery must be one of {', '.join(table)}, got {name!r}.")
+    unknown = sorted(set(options) - set(table[name]))
+    if unknown:
+        raise ValueError(
+            f"options of battery {name} are {', '.join(table[name])}, got {unknown[0]}."
+        )
+    numbers = table[name] | options
+    numbers["impulses"] = tuple(numbers["impulses"])
+    return Battery(version=version, name=name, **numbers)
+
+
+def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
+    """One row per trial: direction x impulse x start, and a control arm of impulse 0.
+
+    Args:
+        battery: the definition.
+        impulse_unit: impulse of dimensionless size 1 of the robot [N s].
+        seed: of the battery; a trial's own randomness comes from ``[seed, trial]``.
+    """
+    rows = [
+        {"direction_rad": 2 * np.pi * d / battery.directions, "impulse": impulse}
+        for impulse in (0.0, *battery.impulses)
+        for d in range(battery.directions)
+        for _ in range(battery.starts)
+    ]
+    trials = pd.DataFrame(rows)
+    trials.insert(0, "trial", range(len(trials)))
+    trials["duration_s"] = battery.duration
+    trials["force_n"] = trials["impulse"] * impulse_unit / battery.duration
+    trials["body"] = battery.point
+    trials["seed"] = seed
+    return trials
+
+
+def start_positions(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) -> Tensor:
+    """Joint angles at the start of each trial ``(len(trials), J)`` [rad]."""
+    joints = len(env.stand_position)
+    noise = [
+        np.random.default_rng(np.random.SeedSequence([row.seed, row.trial])).standard_normal(joints)
+        for row in trials.itertuples()
+    ]
+    low, high = env.joint_range.unbind(-1)
+    angles = env.stand_position + battery.start_noise * torch.tensor(np.array(noise)).float()
+    return torch.clamp(angles, low, high)
+
+
+def battery_env(
+    battery: Battery, cfg: DictConfig, num_envs: int, *, servos: bool = True
+) -> tuple[TransformedEnv, ScriptedStart, ScriptedPush]:
+    """The env of a run as a battery uses it: its control and observation, our starts and pushes.
+
+    Args:
+        battery: the definition.
+        cfg: config of the env, as in ``recipes/env``; its ``training_only`` is left out.
+        num_envs: number of worlds.
+        servos: whether the servos act at all.
+    """
+    base = instantiate(cfg.base_env, num_envs=num_envs, servos=servos, _convert_="all")
+    start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
+    push = ScriptedPush(
+        base,
+        point=battery.point,
+        duration=battery.duration,
+        time=torch.full((num_envs,), battery.push_time),
+        plan=torch.zeros(num_envs, 3),
+    )
+    table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
+    training_only = OmegaConf.select(cfg, "training_only", default=[])
+    env = make_env(base, table, training_only=list(training_only), training=False)
+    return env, start, push
+
+
+def run_battery(
+    battery: Battery,
+    cfg: DictConfig,
+    actor: torch.nn.Module | None,
+    *,
+    seed: int = 0,
+    num_envs: int = 512,
+    servos: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> pd.DataFrame:
+    """Runs all trials; returns them with their outcomes.
+
+    Args:
+        battery: the definition.
+        cfg: config of the env, as in ``recipes/env``.
+        actor: the policy, run without exploration; ``None`` holds the reference pose.
+        seed: of the battery.
+        num_envs: worlds that run together; rounded up to whole blocks.
+        servos: whether the servos act at all.
+        progress: is told the number of control steps done and their total.
+    """
+    worlds = BLOCK * max(1, -(-num_envs // BLOCK))
+    env, start, push = battery_env(battery, cfg, worlds, servos=servos)
+    if actor is not None and any(key.startswith("recurrent") for key in actor.in_keys):
+        env.append_transform(get_primers_from_module(actor))
+    base = env.base_env
+    trials = plan_trials(battery, base.robot.impulse_unit, seed)
+    steps = round(battery.end_time / base.control_dt)
+    chunks = [trials.iloc[i : i + worlds] for i in range(0, len(trials), worlds)]
+    results = []
+    for index, chunk in enumerate(chunks):
+        rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
+        padded = chunk.iloc[rows]
+        start.states["joint_position"] = start_positions(battery, padded, base)
+        push.plan = push_forces(padded)
+        outcomes = Outcomes(base, battery)
+        for step, td in enumerate(play(env, actor, steps)):
+            outcomes.update(td)
+            progress(index * steps + step + 1, len(chunks) * steps)
+            if outcomes.fell.all():
+                break
+        results.append(outcomes.table().iloc[: len(chunk)])
+    measured = pd.concat(results, ignore_index=True)
+    return pd.concat([trials, measured], axis=1)
+
+
+def push_forces(trials: pd.DataFrame) -> Tensor:
+    """Force of each trial ``(len(trials), 3)`` [N; world]."""
+    heading, force = trials["direction_rad"].to_numpy(), trials["force_n"].to_numpy()
+    plan = np.stack([force * np.cos(heading), force * np.sin(heading), 0 * force], -1)
+    return torch.tensor(plan).float()
+
+
+def play(env: TransformedEnv, actor: torch.nn.Module | None, steps: int) -> Iterator[TensorDictBase]:
+    """Runs the env from a fresh reset, without exploration, and yields what follows each step."""
+    act = hold_pose(env) if actor is None else actor
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = env.reset()
+        for _ in range(steps):
+            td = torch.cat([act(block) for block in td.split(BLOCK)])
+            td = env.step(td)
+            yield td["next"]
+            td = step_mdp(td)
+
+
+def hold_pose(env: TransformedEnv) -> Policy:
+    """The baseline whose action is always zero: the servos hold the reference pose."""
+    action = env.full_action_spec["action"].zero()
+    return lambda td: td.set("action", action[: len(td)])

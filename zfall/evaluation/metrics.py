@@ -1,0 +1,77 @@
+"""What a trial is judged by, measured on true quantities."""
+
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import torch
+from tensordict import TensorDictBase
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.rotations import tilt
+from zfall.envs.terms.falls import body_contact
+
+if TYPE_CHECKING:
+    from zfall.evaluation.battery import Battery
+
+
+class Outcomes:
+    """Follows the trials of a chunk step by step.
+
+    ``fell``: any region but the feet touched the floor (or the physics failed). ``recovered``:
+    not fallen until the end, and then upright and high enough. Peaks are taken from the push on,
+    over physics steps, until the trial ends or for half a second after the first touch.
+
+    Args:
+        env: the base env.
+        battery: gives the times and the bounds.
+    """
+
+    def __init__(self, env: HumanoidEnv, battery: "Battery"):
+        n = env.num_envs
+        self.battery, self.control_dt = battery, env.control_dt
+        self.height = battery.min_height * env.robot.com_height
+        self.regions = env.regions
+        self.time = 0.0
+        self.fell = torch.zeros(n, dtype=torch.bool)
+        self.time_to_fall = torch.full((n,), torch.nan)
+        self.peak_base_acceleration = torch.zeros(n)
+        self.peak_contact_force = torch.zeros(n, len(env.regions))
+        self.peak_tilt = torch.zeros(n)
+        self.upright = torch.zeros(n, dtype=torch.bool)
+
+    def update(self, td: TensorDictBase) -> None:
+        """Takes in what followed a control step."""
+        self.time += self.control_dt
+        touched = (body_contact(td, td) | td["diverged"]).squeeze(-1)
+        first = touched & ~self.fell
+        self.fell |= touched
+        since_push = self.time - self.battery.push_time
+        self.time_to_fall = torch.where(first, since_push, self.time_to_fall)
+        angle = tilt(td["base_orientation"])
+        self.upright = (angle < self.battery.max_tilt) & (td["com_position"][:, 2] > self.height)
+        if since_push > 1e-6:
+            counted = ~self.fell | (since_push < self.time_to_fall + 0.5)
+            for name, value in (
+                ("peak_base_acceleration", td["base_acceleration_peak"].squeeze(-1)),
+                ("peak_contact_force", td["contact_force_peak"]),
+                ("peak_tilt", angle),
+            ):
+                peak = getattr(self, name)
+                mask = counted if value.ndim == 1 else counted[:, None]
+                setattr(self, name, torch.where(mask, torch.maximum(peak, value), peak))
+
+    def table(self) -> pd.DataFrame:
+        """One row per trial."""
+        body_peak = self.peak_contact_force[:, :-2]  # the feet come last
+        columns = {
+            "recovered": (self.upright & ~self.fell).numpy(),
+            "fell": self.fell.numpy(),
+            "kneeled": torch.zeros_like(self.fell).numpy(),
+            "time_to_fall_s": self.time_to_fall.numpy(),
+            "peak_tilt": self.peak_tilt.numpy(),
+            "peak_base_acceleration": self.peak_base_acceleration.numpy(),
+            "peak_contact_force": body_peak.amax(-1).numpy(),
+        }
+        for index, region in enumerate(self.regions):
+            columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
+        return pd.DataFrame(columns)

@@ -1,0 +1,93 @@
+"""Plots of batteries and of training."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from zfall.evaluation.statistics import largest_withstood, success_table
+
+mpl.use("Agg")
+
+
+def success_map(
+    trials: pd.DataFrame, path: Path, *, title: str, baseline: pd.DataFrame | None = None
+) -> None:
+    """Polar map of the success rate: angle is the push's heading, radius its impulse.
+
+    The robot stands in the middle and looks up. A line marks I50 in each direction, a dashed one
+    that of the baseline.
+
+    Args:
+        trials: of a planar battery.
+        path: file to write; its ending gives the format.
+        title: above the plot.
+        baseline: trials of ``pose_hold`` in the same battery.
+    """
+    table = success_table(trials)
+    directions, impulses = table.index.to_numpy(), table.columns.to_numpy()
+    step = np.diff(impulses).min() if len(impulses) > 1 else impulses[0]
+    edges = np.concatenate([[impulses[0] - step / 2], impulses + step / 2])
+    width = 2 * np.pi / len(directions)
+    angles = np.concatenate([directions - width / 2, [directions[-1] + width / 2]])
+    figure = Figure(figsize=(5.2, 5.0), layout="constrained")
+    axes = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    mesh = axes.pcolormesh(
+        angles, edges, table.to_numpy().T, cmap="cividis", vmin=0, vmax=1, rasterized=True
+    )
+    _draw_i50(axes, table, "white", "-", "I50")
+    if baseline is not None:
+        _draw_i50(axes, success_table(baseline), "white", ":", "I50 of pose_hold")
+    axes.set_ylim(0, edges[-1])
+    axes.grid(False)
+    axes.set_thetagrids(
+        [0, 45, 90, 135, 180, 225, 270, 315],
+        ["forward", "", "left", "", "backward", "", "right", ""],
+    )
+    axes.set_yticks([tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < edges[-1]])
+    axes.tick_params(axis="y", colors="white", labelsize=8)
+    axes.set_title(title, fontsize=11)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.12, -0.1), fontsize=8, facecolor="0.45",
+                labelcolor="white", framealpha=1)
+    bar = figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1)
+    bar.set_label("share of trials recovered")
+    figure.savefig(path, dpi=160)
+
+
+def _draw_i50(axes, table: pd.DataFrame, color: str, style: str, label: str) -> None:  # type: ignore[no-untyped-def]
+    impulses = table.columns.to_numpy()
+    i50 = np.array([largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()])
+    angles = table.index.to_numpy()
+    axes.plot(np.append(angles, angles[0]), np.append(i50, i50[0]), style, color=color, lw=1.8,
+              label=label)
+
+
+def learning_curves(metrics: pd.DataFrame, path: Path) -> None:
+    """Return, episode length, KL divergence and reward terms over frames.
+
+    Args:
+        metrics: rows of a run's ``metrics.csv``.
+        path: file to write.
+    """
+    frames = metrics["frames"] / 1e6
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True)
+    for ax, key, label in (
+        (axes[0, 0], "episode_return", "return of an episode"),
+        (axes[0, 1], "episode_seconds", "length of an episode [s]"),
+        (axes[1, 0], "kl", "KL divergence of an update"),
+    ):
+        ax.plot(frames, metrics[key], lw=1, color="tab:blue")
+        ax.set_ylabel(label)
+    for key in (k for k in metrics if k.startswith("reward/")):
+        axes[1, 1].plot(frames, metrics[key], lw=1, label=key.removeprefix("reward/"))
+    axes[1, 1].set_ylabel("mean summand of the reward")
+    axes[1, 1].legend(fontsize=7, ncols=2)
+    for ax in axes.flat:
+        ax.grid(alpha=0.3)
+    for ax in axes[1]:
+        ax.set_xlabel("frames [millions]")
+    figure.savefig(path, dpi=130)

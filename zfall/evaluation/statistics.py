@@ -1,0 +1,76 @@
+"""From trials to figures that can be compared."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest
+
+from zfall.evaluation.battery import Battery
+
+
+def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Wilson interval of a success rate (Wilson, JASA 1927)."""
+    interval = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def largest_withstood(impulses: np.ndarray, rates: np.ndarray, share: float) -> float:
+    """Largest impulse such that at it and all smaller tested ones the rate is at least ``share``.
+
+    Args:
+        impulses: tested sizes, rising ``(K,)``.
+        rates: success rate at each ``(K,)``.
+        share: 0.5 for I50, 0.9 for I90.
+
+    Returns:
+        One of ``impulses``, or 0 if already the smallest fails.
+    """
+    held = np.logical_and.accumulate(rates >= share - 1e-9)
+    return float(impulses[held][-1]) if held.any() else 0.0
+
+
+def success_table(trials: pd.DataFrame) -> pd.DataFrame:
+    """Success rate by direction (rows) and impulse (columns) of the pushed trials."""
+    pushed = trials[trials["impulse"] > 0]
+    return pushed.pivot_table(
+        index="direction_rad", columns="impulse", values="recovered", aggfunc="mean"
+    )
+
+
+def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
+    """The summary of a planar battery: headline figures and success by impulse.
+
+    ``success`` at an impulse is over all directions and starts, with its Wilson 95 % interval.
+    """
+    table = success_table(trials)
+    impulses = table.columns.to_numpy()
+    i50 = [largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()]
+    i90 = [largest_withstood(impulses, rates, 0.9) for rates in table.to_numpy()]
+    control = trials[trials["impulse"] == 0]
+    summary: dict[str, Any] = {
+        "battery": battery.name,
+        "battery_version": battery.version,
+        "point": battery.point,
+        "duration_s": battery.duration,
+        "seed": int(trials["seed"].iloc[0]),
+        "n": len(trials),
+        "i50_mean": float(np.mean(i50)),
+        "i50_min": float(np.min(i50)),
+        "i90_mean": float(np.mean(i90)),
+        "i90_min": float(np.min(i90)),
+        "i50": i50,
+        "i90": i90,
+        "directions_rad": [float(d) for d in table.index],
+        "success": {},
+        "success_low": {},
+        "success_high": {},
+        "control_falls": int((~control["recovered"]).sum()),
+        "control_n": len(control),
+    }
+    for impulse, group in trials[trials["impulse"] > 0].groupby("impulse"):
+        key, successes = f"{impulse:g}", int(group["recovered"].sum())
+        summary["success"][key] = successes / len(group)
+        low, high = wilson(successes, len(group))
+        summary["success_low"][key], summary["success_high"][key] = low, high
+    return summary
