@@ -46,9 +46,11 @@ def main(cfg: DictConfig) -> None:
     title = f"{run.name}: share recovered, {battery.name}"
     success_map(trials, folder / "success_map.png", title=title, baseline=baseline)
     console.print(table({str(run.name): summary}))
-    console.print(f"I50 mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f}; "
-                  f"I90 mean {summary['i90_mean']:.3f}; "
-                  f"falls without a push {summary['control_falls']} of {summary['control_n']}")
+    console.print(
+        f"I50 mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f}; "
+        f"I90 mean {summary['i90_mean']:.3f}; "
+        f"falls without a push {summary['control_falls']} of {summary['control_n']}"
+    )
     console.print(f"wrote {folder}/trials.csv, summary.json, success_map.png")
 
 

@@ -1,6 +1,5 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
-import time
 from typing import Any
 
 import torch
@@ -14,6 +13,7 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from zfall.losses.symmetry import Mirror
 from zfall.modules.actors import normalizer_of
 
 
@@ -58,6 +58,9 @@ class Learner:
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
         flags += ["episode_reward", "step_count", "diverged"]
         self._stored = [*self._learned, *(("next", key) for key in [*inputs, *flags])]
+        if cfg.symmetry and hidden:
+            raise ValueError("symmetry must be false for a recurrent actor or critic, got true.")
+        self.mirror = Mirror.of(self.env) if cfg.symmetry else None
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
 
@@ -84,8 +87,10 @@ class Learner:
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
         if not recurrent_keys(self.actor) and not recurrent_keys(self.critic):
             data = data.reshape(-1)  # else a minibatch holds whole sequences
+        if self.mirror is not None:
+            data = torch.cat([data, self._mirrored(data)])
         size = -(-len(data) // cfg.minibatches)
-        for epoch in range(cfg.epochs):
+        for _ in range(cfg.epochs):
             outputs = []
             for rows in torch.randperm(len(data)).split(size):
                 out = self.loss(data[rows])
@@ -96,12 +101,22 @@ class Learner:
                 self.optimizer.zero_grad()
                 outputs.append({key: value.detach().mean() for key, value in out.items()})
         means = {k: torch.stack([out[k] for out in outputs]).mean().item() for k in outputs[0]}
+        # mean(r - 1 - log r) over ratios r: never negative, and of little noise.
+        means["kl"] = means.pop("kl_approx") + means["mean_ratio"] - 1.0
         if self.scheduler is not None:
-            self.scheduler.step(means["kl_approx"])
+            self.scheduler.step(max(means["kl"], 1e-6))
         normalizer_of(self.actor).update(batch["observation"])
         normalizer_of(self.critic).update(batch["observation_critic"])
         self.updates += 1
         return means
+
+    def _mirrored(self, data: TensorDictBase) -> TensorDictBase:
+        """Mirror images of the transitions, with the log-probability they have today."""
+        assert self.mirror is not None
+        images = self.mirror(data)
+        with torch.no_grad():
+            log_prob = self.actor.get_dist(images.copy()).log_prob(images["action"])
+        return images.set("action_log_prob", log_prob)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""
@@ -146,7 +161,7 @@ def batch_metrics(batch: TensorDictBase, control_dt: float) -> dict[str, float]:
         "falls": int(after["terminated"].sum()),
         "diverged": int(after["diverged"].sum()),
     }
-    if ended.any():
+    if ended.any():  # else the columns keep the last value known
         metrics["episode_return"] = after["episode_reward"][ended].mean().item()
         metrics["episode_seconds"] = after["step_count"][ended].float().mean().item() * control_dt
     metrics |= {f"reward/{k}": v.mean().item() for k, v in after["reward_terms"].items()}

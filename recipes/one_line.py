@@ -15,10 +15,7 @@ def one_line_errors() -> Iterator[None]:
     try:
         yield
     except InstantiationException as error:
-        cause = error.__cause__
-        key = str(error).rsplit("full_key:", 1)[-1].strip() if "full_key:" in str(error) else ""
-        reason = str(error).splitlines()[0] if cause is None else str(cause)
-        raise SystemExit(f"error: {key + ': ' if key else ''}{_flat(reason)}") from None
+        raise SystemExit(f"error: {_innermost(error)}") from None
     except (ValueError, OSError, OmegaConfBaseException) as error:
         raise SystemExit(f"error: {_flat(str(error))}") from None
 
@@ -34,6 +31,20 @@ def check_keys(cfg: DictConfig, known: set[str]) -> None:
             near = get_close_matches(str(key), known, n=1)
             hint = f"; did you mean {near[0]}?" if near else "."
             raise ValueError(f"{key} is not a key of the config ({', '.join(sorted(known))}){hint}")
+
+
+def _innermost(error: BaseException) -> str:
+    """Full key and reason of the error at the end of hydra's chain of causes."""
+    keys = []
+    while isinstance(error, InstantiationException):
+        head, _, key = str(error).rpartition("full_key: ")
+        keys += [key] if head else []
+        if error.__cause__ is None:
+            break
+        error = error.__cause__
+    place = ".".join(keys)
+    reason = _flat(str(error).split("\nfull_key:")[0])
+    return f"{place}: {reason}" if place else reason
 
 
 def _flat(text: str) -> str:

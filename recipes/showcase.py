@@ -19,7 +19,12 @@ from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import choose_gl, film
 
-SIDES = {"from behind": 0.0, "from the right": 90.0, "from the front": 180.0, "from the left": 270.0}
+SIDES = {
+    "from behind": 0.0,
+    "from the right": 90.0,
+    "from the front": 180.0,
+    "from the left": 270.0,
+}
 
 
 def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: Console) -> None:
@@ -45,7 +50,9 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
     }
     (folder / "summary.json").write_text(json.dumps(summaries, indent=2))
     learning_curves(pd.read_csv(folder / "metrics.csv"), plots / "learning_curves.png")
-    success_map(after, plots / "planar.png", title="share recovered, short planar", baseline=baseline)
+    success_map(
+        after, plots / "planar.png", title="share recovered, short planar", baseline=baseline
+    )
     console.print(table(summaries))
     if cfg.showcase.video:
         with console.status("video"):

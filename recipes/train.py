@@ -1,14 +1,16 @@
 """Trains a policy and shows what it can do: ``python -m recipes.train experiment=quickstart``."""
 
 import csv
+import math
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torchrl.record import TensorboardLogger
@@ -20,7 +22,7 @@ from zfall import checkpoint
 
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches"),
-    *("max_grad_norm", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
+    *("max_grad_norm", "resume", "checkpoint_every", "symmetry", "env", "actor", "critic", "loss"),
     *("optimizer", "scheduler", "showcase", "experiment"),
 }
 
@@ -31,12 +33,19 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_keys(cfg, KEYS)
         folder = Path(HydraConfig.get().runtime.output_dir)
-        learner = Learner(cfg)
+        state = None
         if cfg.resume is not None:
-            resume(learner, Path(cfg.resume))
+            folder = Path(cfg.resume)
+            state = checkpoint.load(folder / "checkpoints" / "last.pt")
+            cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
+        learner = Learner(cfg)
+        untrained = {key: value.clone() for key, value in learner.actor.state_dict().items()}
         run = RunFolder(folder)
+        if state is not None:
+            checkpoint.check_fits(state, learner.env.base_env.robot.name, learner.actor, folder)
+            learner.load_state_dict(state)
+            run.load_state_dict(state["run"])
     console = Console()
-    untrained = {key: value.clone() for key, value in learner.actor.state_dict().items()}
     try:
         train(learner, run, console)
     except KeyboardInterrupt:
@@ -46,46 +55,49 @@ def main(cfg: DictConfig) -> None:
     show(learner, untrained, folder, console)
 
 
-def resume(learner: Learner, folder: Path) -> None:
-    """Puts the learner where the run in ``folder`` stood.
+def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictConfig:
+    """The config of a run, with the values that were given to resume it.
 
     Raises:
-        ValueError: if its checkpoint belongs to another robot, actor or env.
+        ValueError: if an override would swap a whole part, or names an unknown key.
     """
-    state = checkpoint.load(folder / "checkpoints" / "last.pt")
-    checkpoint.check_fits(state, learner.env.base_env.robot.name, learner.actor, folder)
-    learner.load_state_dict(state)
+    cfg = OmegaConf.create(stored)
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if key == "resume":
+            continue
+        if OmegaConf.is_dict(OmegaConf.select(cfg, key)) or key == "experiment":
+            raise ValueError(f"{key} must not be given with resume, it is that of {folder}.")
+        OmegaConf.set_struct(cfg, True)
+        OmegaConf.update(cfg, key, OmegaConf.create({"value": value}).value)
+    return cfg
 
 
 def train(learner: Learner, run: "RunFolder", console: Console) -> None:
     """The learning loop: collect, learn, write down."""
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = max(1, -(-int(cfg.total_frames) // learner.frames_per_batch))
-    best = -float("inf")
-    recent: list[float] = []
     with progress_bar(console) as bar:
         task = bar.add_task("train", total=total, completed=learner.updates, note="")
         while learner.updates < total:
-            began = time.perf_counter()
+            times = [time.perf_counter()]
             batch = learner.collect()
-            collected = time.perf_counter()
+            times.append(time.perf_counter())
             losses = learner.learn(batch)
-            ended = time.perf_counter()
-            metrics = batch_metrics(batch, control_dt)
-            run.write(learner, metrics, losses, began, collected, ended)
-            recent = [*recent, metrics["reward"]][-10:]
+            times.append(time.perf_counter())
+            run.write(learner, batch_metrics(batch, control_dt), losses, times)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates == total:
-                run.save(learner, "last")
-                if sum(recent) / len(recent) > best:
-                    best = sum(recent) / len(recent)
-                    run.save(learner, "best")
-            speed = learner.frames_per_batch / (ended - began)
-            episodes = f"return {run.last['episode_return']:6.2f}  episode {run.last['episode_seconds']:5.2f} s"
-            note = f"{learner.frames / 1e6:5.2f} M frames  {speed:5.0f} frames/s  {episodes}"
+                run.save_last_and_best(learner)
+            seconds = times[-1] - times[0]
+            note = (
+                f"{learner.frames / 1e6:.2f} M frames, {learner.frames_per_batch / seconds:.0f}/s, "
+                f"return {run.last['episode_return']:.1f}, "
+                f"episode {run.last['episode_seconds']:.1f} s"
+            )
             bar.update(task, completed=learner.updates, note=note)
             if not console.is_terminal and learner.updates % 10 == 0:
-                left = (total - learner.updates) * (ended - began)
-                console.print(f"{learner.updates}/{total}  {note}  {left:.0f} s left")
+                left = f"{(total - learner.updates) * seconds:.0f} s left"
+                console.print(f"{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
 
 
 def progress_bar(console: Console) -> Progress:
@@ -118,23 +130,32 @@ class RunFolder:
         if not os.access(folder, os.W_OK):
             raise PermissionError(f"hydra.run.dir must be writable, {folder} is not.")
         self.board = TensorboardLogger(exp_name="tensorboard", log_dir=str(folder))
-        self.last: dict[str, float] = {"episode_return": float("nan"), "episode_seconds": float("nan")}
+        self.last = {"episode_return": math.nan, "episode_seconds": math.nan}
+        self.recent: list[float] = []  # mean rewards of the last updates
+        self.best = -math.inf
 
     def write(
         self,
         learner: Learner,
         metrics: dict[str, float],
         losses: dict[str, float],
-        began: float,
-        collected: float,
-        ended: float,
+        times: list[float],
     ) -> None:
-        """Adds the row of an update; what depends on the clock goes to its own file."""
+        """Adds the row of an update; what depends on the clock goes to its own file.
+
+        Args:
+            learner: after the update.
+            metrics: of the batch.
+            losses: of the last pass over it.
+            times: when the update began, had its batch, and ended [s].
+        """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
-        row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
-        row["kl"] = losses["kl_approx"]
+        self.recent = [*self.recent, metrics["reward"]][-10:]
+        row = {"update": learner.updates, "frames": learner.frames, **metrics, **self.last}
+        row["kl"] = losses.pop("kl")
         row["learning_rate"] = learner.optimizer.param_groups[0]["lr"]
-        row |= {f"loss/{k.removeprefix('loss_')}": v for k, v in losses.items() if k != "kl_approx"}
+        row |= {f"loss/{k.removeprefix('loss_')}": v for k, v in losses.items()}
+        began, collected, ended = times
         timing = {
             "update": learner.updates,
             "collect_s": collected - began,
@@ -146,9 +167,33 @@ class RunFolder:
         for key, value in row.items():
             self.board.log_scalar(key, value, step=learner.frames)
 
+    def save_last_and_best(self, learner: Learner) -> None:
+        """Writes ``last.pt``, and ``best.pt`` if the mean reward was never higher."""
+        mean = sum(self.recent) / len(self.recent)
+        better = mean > self.best
+        self.best = max(mean, self.best)
+        self.save(learner, "last")
+        if better:
+            self.save(learner, "best")
+
     def save(self, learner: Learner, name: str) -> None:
         """Writes ``checkpoints/NAME.pt``."""
-        checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", learner.state_dict())
+        content = learner.state_dict() | {"run": self.state_dict(learner.updates)}
+        checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
+
+    def state_dict(self, updates: int) -> dict[str, Any]:
+        """What the files need to go on from."""
+        return {"updates": updates, "last": self.last, "recent": self.recent, "best": self.best}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from a checkpoint: rows written after it are dropped."""
+        self.last, self.recent, self.best = state["last"], state["recent"], state["best"]
+        for name in ("metrics.csv", "timing.csv"):
+            path = self.folder / name
+            header, *rows = path.read_text().splitlines(keepends=True)
+            kept = [row for row in rows if int(row.split(",", 1)[0]) <= state["updates"]]
+            path.with_suffix(".tmp").write_text("".join([header, *kept]))
+            path.with_suffix(".tmp").replace(path)
 
 
 def append_row(path: Path, row: dict[str, Any]) -> None:

@@ -31,7 +31,7 @@ def compose_config() -> Callable[..., DictConfig]:
     return build
 
 
-@pytest.fixture()
+@pytest.fixture
 def make_base() -> Callable[..., HumanoidEnv]:
     """A base env with few worlds."""
 
@@ -41,7 +41,7 @@ def make_base() -> Callable[..., HumanoidEnv]:
     return build
 
 
-@pytest.fixture()
+@pytest.fixture
 def make_task(make_base: Callable[..., HumanoidEnv]) -> Callable[..., TransformedEnv]:
     """An env with the given transforms, each a class and its values."""
 

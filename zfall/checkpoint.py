@@ -31,7 +31,7 @@ def load(path: Path) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        reason = str(error).splitlines()[0]
+        reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ValueError(f"{path} must be a checkpoint, cannot read it: {reason}") from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:

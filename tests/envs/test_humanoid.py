@@ -99,7 +99,7 @@ def test_start_without_height_puts_the_lowest_corner_on_the_floor(make_base):
     x, y = ZEROTH01.sole_half_size
     corners = torch.tensor([[sx * x, sy * y, 0.0] for sx in (-1, 1) for sy in (-1, 1)])
     quaternion = td["feet_orientation"][:, :, None].expand(-1, -1, 4, -1)
-    heights = (td["feet_position"][:, :, None] + rotate(quaternion, corners.expand(16, 2, 4, 3)))
+    heights = td["feet_position"][:, :, None] + rotate(quaternion, corners.expand(16, 2, 4, 3))
     assert_close(heights[..., 2].amin((1, 2)), torch.zeros(16), atol=1e-5, rtol=0)
     assert_close(td["joint_position"], angle)
 
@@ -137,7 +137,11 @@ def test_joint_torque_is_the_servo_law_averaged_over_the_step(make_base):
     td = env.reset()
     td["target"] = env.stand_position[None] + 0.1
     torque = env._step(td)["joint_torque"][0]
-    legs = [i for i, name in enumerate(ZEROTH01.joints) if any(p in name for p in ("hip", "knee", "ankle"))]
+    legs = [
+        i
+        for i, name in enumerate(ZEROTH01.joints)
+        if any(p in name for p in ("hip", "knee", "ankle"))
+    ]
     assert_close(torque[legs], torch.full((12,), 3.124), atol=2e-3, rtol=0)
 
 

@@ -51,7 +51,7 @@ def test_transform_of_a_user_runs_where_the_table_puts_it(make_base):
     torch.testing.assert_close(seen["control"][0, 0], expected)
 
 
-def HumanoidStep(base, td):  # noqa: N802
+def HumanoidStep(base, td):
     return type(base)._step(base, td)
 
 

@@ -97,5 +97,7 @@ def test_mjcf_without_an_actuator_is_refused_by_name(tmp_path):
 
 
 def test_push_point_on_an_unknown_link_is_refused_with_a_list():
-    with pytest.raises(ValueError, match=r"push_points.tail: body must be one of .*Top_Brace.* got"):
+    with pytest.raises(
+        ValueError, match=r"push_points.tail: body must be one of .*Top_Brace.* got"
+    ):
         compile_model(ZEROTH01, physics_dt=0.004, push_points={"tail": PushPoint(body="Tail")})

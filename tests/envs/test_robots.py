@@ -135,7 +135,9 @@ def test_every_link_can_touch_the_floor(model):
     for body in range(1, model.nbody):
         name = model.body(body).name
         own = [model.geom(i) for i in range(model.ngeom) if model.geom_bodyid[i] == body]
-        meets = [g for g in own if (g.contype & floor.conaffinity) | (floor.contype & g.conaffinity)]
+        meets = [
+            g for g in own if (g.contype & floor.conaffinity) | (floor.contype & g.conaffinity)
+        ]
         assert meets, f"{name} has no geom that meets the floor"
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from zfall.envs.rotations import rotate, rotate_inverse, tilt, up_axis
 
 
-@pytest.fixture()
+@pytest.fixture
 def turns() -> tuple[torch.Tensor, Rotation]:
     rotation = Rotation.random(200, random_state=0)
     wxyz = rotation.as_quat()[:, [3, 0, 1, 2]]

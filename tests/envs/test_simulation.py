@@ -12,7 +12,7 @@ from zfall.envs.simulation import Simulation
 S = 10
 
 
-@pytest.fixture()
+@pytest.fixture
 def model() -> mujoco.MjModel:
     return compile_model(ZEROTH01, physics_dt=0.004)
 

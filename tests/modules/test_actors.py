@@ -82,6 +82,7 @@ def test_replaying_a_sequence_gives_the_log_probabilities_of_collection():
     rows = []
     with torch.no_grad():
         for t in range(steps):
+            state = torch.where(is_init[:, t, :, None], 0.0, state)  # as the env does at a reset
             td = TensorDict({"observation": observation[:, t], "is_init": is_init[:, t],
                              "recurrent_state_actor": state}, batch_size=[worlds])  # fmt: skip
             out = actor(td)

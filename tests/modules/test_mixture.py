@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from zfall.modules.mixture import MixtureOfGaussians
 
 
-@pytest.fixture()
+@pytest.fixture
 def parameters() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     shape = (50, 4, 3)
     scale = torch.empty(shape, dtype=torch.float64).uniform_(0.01, 1.0)
@@ -55,7 +55,9 @@ def test_entropy_is_without_bias(parameters):
         return float((weight * norm.pdf(x, loc.numpy(), scale.numpy())).sum())
 
     points = sorted(loc.tolist())
-    exact = quad(lambda x: -density(x) * np.log(density(x) + 1e-300), -8, 8, points=points, limit=500)[0]
+    exact = quad(
+        lambda x: -density(x) * np.log(density(x) + 1e-300), -8, 8, points=points, limit=500
+    )[0]
     expanded = [p.expand(40_000, 1, 3) for p in (logits, loc, scale)]
     estimates = MixtureOfGaussians(*expanded).entropy()
     error = estimates.std().item() / 40_000**0.5
@@ -65,5 +67,7 @@ def test_entropy_is_without_bias(parameters):
 def test_entropy_has_a_gradient_in_the_deviation():
     """For one component H = log(sigma) + const, so dH / dsigma = 1 / sigma."""
     scale = torch.full((4000, 1, 1), 0.4, requires_grad=True)
-    MixtureOfGaussians(torch.zeros(4000, 1, 1), torch.zeros(4000, 1, 1), scale).entropy().sum().backward()
+    MixtureOfGaussians(
+        torch.zeros(4000, 1, 1), torch.zeros(4000, 1, 1), scale
+    ).entropy().sum().backward()
     assert scale.grad.mean().item() == pytest.approx(1 / 0.4, rel=0.1)

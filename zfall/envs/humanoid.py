@@ -112,9 +112,7 @@ class HumanoidEnv(EnvBase):
         self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
         self.control_dt, self.physics_dt = control_dt, physics_dt
         self.regions = robot.regions
-        model = compile_model(
-            robot, physics_dt=physics_dt, push_points=push_points, servos=servos
-        )
+        model = compile_model(robot, physics_dt=physics_dt, push_points=push_points, servos=servos)
         self.simulation = Simulation(model, num_envs, substeps, threads)
         self.push_targets = push_targets(model)
         self.num_bodies = model.nbody - 1
@@ -190,7 +188,9 @@ class HumanoidEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         rows = _get_reset("_reset", source).reshape(self.num_envs)
-        start = {key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)}
+        start = {
+            key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)
+        }
         sensors = self._place(rows, start)[:, -1:]  # the same in all steps of the new rows
         return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 

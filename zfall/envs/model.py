@@ -79,7 +79,11 @@ def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
     needed = {
         *("base_acceleration", "com_position", "com_velocity", "angular_momentum"),
         *(f"joint_torque/{joint}" for joint in robot.joints),
-        *(f"feet_{k}/{foot}" for k in ("position", "orientation", "velocity") for foot in robot.feet),
+        *(
+            f"feet_{k}/{foot}"
+            for k in ("position", "orientation", "velocity")
+            for foot in robot.feet
+        ),
         *(f"feet_contact/{foot}" for foot in robot.feet),
         *(f"feet_corner_force/{foot}/{c}" for foot in robot.feet for c in robot.corners),
     }
@@ -90,7 +94,9 @@ def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
         if not any(name_in_region(name, region) for name in sensors)
     ]
     if lacking:
-        raise ValueError(f"{robot.mjcf} must have a sensor for every key, lacks {', '.join(lacking)}.")
+        raise ValueError(
+            f"{robot.mjcf} must have a sensor for every key, lacks {', '.join(lacking)}."
+        )
     for kind, named in (("joint", spec.joints), ("actuator", spec.actuators)):
         missing = sorted(set(robot.joints) - {x.name for x in named})
         if missing:

@@ -27,7 +27,8 @@ class Simulation:
     Attributes:
         qpos: positions ``(N, nq)`` float64, in MuJoCo's order.
         qvel: velocities ``(N, nv)`` float64.
-        diverged: worlds whose last ``step`` gave a state that is not finite ``(N,)`` bool.
+        diverged: worlds whose last ``step`` gave values that are not finite or above 1e10
+            ``(N,)`` bool.
     """
 
     def __init__(
@@ -44,9 +45,7 @@ class Simulation:
         self._state = torch.zeros(num_worlds, size, dtype=torch.float64)
         self._states = torch.zeros(num_worlds, substeps, size, dtype=torch.float64)
         self._inputs = torch.zeros(num_worlds, substeps, inputs, dtype=torch.float64)
-        self._sensors = torch.zeros(
-            num_worlds, substeps, model.nsensordata, dtype=torch.float64
-        )
+        self._sensors = torch.zeros(num_worlds, substeps, model.nsensordata, dtype=torch.float64)
         self.diverged = torch.zeros(num_worlds, dtype=torch.bool)
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
@@ -73,9 +72,9 @@ class Simulation:
             self._inputs[:, :, nu + 6 :] = wrench.flatten(-2)
         self._roll(self._state, self._inputs, self._states, self._sensors)
         self._state.copy_(self._states[:, -1])
-        # One sum per world finds every value that is not finite.
+        # One sum per world finds every value that is not finite, or beyond MuJoCo's mjMAXVAL.
         total = self._state.sum(-1) + self._sensors.sum((-2, -1))
-        self.diverged = ~total.isfinite()
+        self.diverged = ~(total.abs() < 1e10)
         return self._sensors
 
     def reset(self, rows: Tensor, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:

@@ -179,7 +179,9 @@ def push_forces(trials: pd.DataFrame) -> Tensor:
     return torch.tensor(plan).float()
 
 
-def play(env: TransformedEnv, actor: torch.nn.Module | None, steps: int) -> Iterator[TensorDictBase]:
+def play(
+    env: TransformedEnv, actor: torch.nn.Module | None, steps: int
+) -> Iterator[TensorDictBase]:
     """Runs the env from a fresh reset, without exploration, and yields what follows each step."""
     act = hold_pose(env) if actor is None else actor
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -50,8 +50,14 @@ def success_map(
     axes.set_yticks([tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < edges[-1]])
     axes.tick_params(axis="y", colors="white", labelsize=8)
     axes.set_title(title, fontsize=11)
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.12, -0.1), fontsize=8, facecolor="0.45",
-                labelcolor="white", framealpha=1)
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(-0.12, -0.1),
+        fontsize=8,
+        facecolor="0.45",
+        labelcolor="white",
+        framealpha=1,
+    )
     bar = figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1)
     bar.set_label("share of trials recovered")
     figure.savefig(path, dpi=160)
@@ -61,8 +67,14 @@ def _draw_i50(axes, table: pd.DataFrame, color: str, style: str, label: str) -> 
     impulses = table.columns.to_numpy()
     i50 = np.array([largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()])
     angles = table.index.to_numpy()
-    axes.plot(np.append(angles, angles[0]), np.append(i50, i50[0]), style, color=color, lw=1.8,
-              label=label)
+    axes.plot(
+        np.append(angles, angles[0]),
+        np.append(i50, i50[0]),
+        style,
+        color=color,
+        lw=1.8,
+        label=label,
+    )
 
 
 def learning_curves(metrics: pd.DataFrame, path: Path) -> None:

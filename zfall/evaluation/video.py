@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import imageio.v2 as imageio
-import matplotlib as mpl
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
@@ -85,7 +84,11 @@ def _draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, force: NDArray[np.f
     tip = data.body("Top_Brace").xipos
     arrow = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(
-        arrow, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.zeros(9),
+        arrow,
+        mujoco.mjtGeom.mjGEOM_ARROW,
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros(9),
         np.array([0.85, 0.2, 0.1, 1.0], dtype=np.float32),
     )
     start = tip - 0.01 * force

@@ -41,7 +41,9 @@ def commands_seen(env, base, steps: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 @pytest.mark.parametrize("delay_steps", [0, 1, 3, 9, 10, 11, 20, 25])
-@pytest.mark.parametrize(("control_dt", "physics_dt"), [(0.04, 0.004), (0.02, 0.004), (0.01, 0.005)])
+@pytest.mark.parametrize(
+    ("control_dt", "physics_dt"), [(0.04, 0.004), (0.02, 0.004), (0.01, 0.005)]
+)
 def test_delay_is_exact_to_one_physics_step(make_task, control_dt, physics_dt, delay_steps):
     """The command of time t is first seen at t + delay, by cross-correlation in whole steps."""
     delay = delay_steps * physics_dt

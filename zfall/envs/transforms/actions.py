@@ -40,9 +40,7 @@ class JointPositionTarget(Transform):
         target = self.reference + self.scale * tensordict["action"]
         return tensordict.set("target", torch.clamp(target, low, high))
 
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set("target", tensordict["target"])
 
     def _reset(

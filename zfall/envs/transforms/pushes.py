@@ -64,9 +64,7 @@ class _Push(Transform):
         self.start = self.start - self.control_dt
         return tensordict
 
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         next_tensordict["push", "force"] = tensordict["push", "force"]
         return next_tensordict
 
@@ -131,23 +129,24 @@ class RandomPush(_Push):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         tensordict = super()._inv_call(tensordict)
-        self._draw(rows=self.start + self.duration <= 0)
+        over = self.start + self.duration
+        self._draw(rows=over <= 0, rest_from=over.clamp_max(0.0))
         return tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        self._draw(rows=reset_rows(tensordict))
+        self._draw(rows=reset_rows(tensordict), rest_from=torch.zeros_like(self.start))
         return super()._reset(tensordict, tensordict_reset)
 
-    def _draw(self, rows: Tensor) -> None:
-        """Plans the next push of the worlds in ``rows``."""
+    def _draw(self, rows: Tensor, rest_from: Tensor) -> None:
+        """Plans the next push of the worlds in ``rows``, resting since ``rest_from`` [s]."""
         wait, strength, turn = torch.rand(3, len(rows), generator=self.rng)
         wait = torch.lerp(*torch.tensor(self.interval), wait)
         strength = torch.lerp(*torch.tensor(self.strength), strength)
         heading = 2 * math.pi * turn
         force = torch.stack([heading.cos(), heading.sin(), torch.zeros_like(turn)], -1)
-        self.start = torch.where(rows, wait, self.start)
+        self.start = torch.where(rows, (rest_from + wait).clamp_min(0.0), self.start)
         self.force = torch.where(rows[:, None], strength[:, None] * force, self.force)
 
 

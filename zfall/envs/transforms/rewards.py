@@ -39,9 +39,7 @@ class WeightedReward(Transform):
         if not self.terms:
             raise ValueError("terms must hold at least one term with a weight.")
 
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         reward: Any = 0.0
         for name, (weight, term) in self.terms.items():
             value = weight * term(tensordict, next_tensordict)

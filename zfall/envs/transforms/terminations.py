@@ -32,9 +32,7 @@ class Terminations(Transform):
             if condition is not None
         }
 
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for name, condition in self.conditions.items():
             holds = condition(tensordict, next_tensordict)
             next_tensordict["terminations", name] = holds

@@ -1,6 +1,5 @@
 """Quantities over time, for terms that have no memory of their own."""
 
-import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs import Transform
@@ -16,9 +15,7 @@ class LastAction(Transform):
     def __init__(self) -> None:
         super().__init__(in_keys=["action"], out_keys=["last_action"])
 
-    def _step(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set("last_action", tensordict["action"])
 
     def _reset(

@@ -1,0 +1,97 @@
+"""Planar battery: its plan, its seeds, and known truths."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from recipes.learner import Learner
+from zfall.evaluation.battery import load_battery, plan_trials, push_forces, run_battery
+
+SMALL = {"impulses": [0.1, 0.9], "starts": 2, "directions": 4, "end_time": 5.0}
+
+
+def test_plan_has_every_cell_and_a_control_arm():
+    trials = plan_trials(load_battery("planar"), 4.92, seed=3)
+    assert len(trials) == 12 * 20 * 20 + 12 * 20
+    counts = trials.groupby(["direction_rad", "impulse"]).size()
+    assert (counts == 20).all()
+    assert len(counts) == 12 * 21
+    assert (trials["impulse"] == 0).sum() == 240
+    assert trials["trial"].tolist() == list(range(5040))
+
+
+def test_force_has_the_impulse_and_heading_of_the_trial():
+    trials = plan_trials(load_battery("planar"), 4.92, seed=0)
+    force = push_forces(trials)
+    size = force.norm(dim=-1).numpy() * 0.1 / 4.92
+    np.testing.assert_allclose(size, trials["impulse"], atol=1e-6)
+    pushed = trials["impulse"] > 0
+    heading = np.arctan2(force[:, 1], force[:, 0])[pushed] - trials["direction_rad"][pushed]
+    np.testing.assert_allclose(np.cos(heading), 1.0, atol=1e-6)
+    assert push_forces(trials[trials["direction_rad"] == 0.0])[-1, 0] > 0  # 0 is forward, +x
+
+
+def test_unknown_battery_and_option_are_refused():
+    with pytest.raises(ValueError, match="battery must be one of planar"):
+        load_battery("linear")
+    with pytest.raises(ValueError, match="options of battery planar are .*point.*got pont"):
+        load_battery("planar", pont="torso")
+
+
+@pytest.fixture(scope="module")
+def results(compose_config) -> dict[str, pd.DataFrame]:
+    cfg = compose_config("num_envs=64")
+    battery = load_battery("planar", **SMALL)
+    held = run_battery(battery, cfg.env, None, num_envs=64)
+    limp = run_battery(battery, cfg.env, None, num_envs=64, servos=False)
+    return {"pose_hold": held, "limp": limp}
+
+
+def test_held_pose_stands_without_a_push_and_limp_falls(results):
+    held, limp = results["pose_hold"], results["limp"]
+    assert held[held["impulse"] == 0]["recovered"].all()
+    assert held[held["impulse"] == 0.1]["recovered"].all()
+    assert not held[held["impulse"] == 0.9]["recovered"].any()
+    assert limp["fell"].all()
+    assert (limp["time_to_fall_s"] < 0).all()  # before the push
+
+
+def test_outcomes_are_consistent(results):
+    held = results["pose_hold"]
+    assert not (held["recovered"] & held["fell"]).any()
+    assert held["time_to_fall_s"].notna().equals(held["fell"])
+    fallen = held[held["fell"]]
+    assert (fallen["time_to_fall_s"] > 0.1).all()
+    assert (fallen["peak_contact_force"] > 0).all()
+    assert (held[~held["fell"]]["peak_contact_force"] == 0).all()
+    assert (held["peak_base_acceleration"] > 9.7).all()
+
+
+def test_trials_do_not_depend_on_the_number_of_worlds(results, compose_config):
+    cfg = compose_config("num_envs=64")
+    battery = load_battery("planar", **SMALL)
+    wide = run_battery(battery, cfg.env, None, num_envs=128)
+    pd.testing.assert_frame_equal(wide, results["pose_hold"])
+
+
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+def test_same_seed_gives_the_same_table_and_another_seed_another(compose_config, actor):
+    cfg = compose_config("num_envs=4", f"actor={actor}")
+    policy = Learner(cfg).actor
+    battery = load_battery("planar", **(SMALL | {"end_time": 3.6, "directions": 2}))
+    tables = [run_battery(battery, cfg.env, policy, seed=seed, num_envs=64) for seed in (0, 0, 1)]
+    pd.testing.assert_frame_equal(tables[0], tables[1])
+    assert not np.allclose(tables[0]["peak_tilt"], tables[2]["peak_tilt"])
+
+
+def test_policy_runs_without_exploration(compose_config):
+    """A policy that would act at random if explored, and holds the pose on average."""
+    cfg = compose_config("num_envs=4", "actor.std=5.0")
+    policy = Learner(cfg).actor
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            if parameter.ndim == 2:
+                parameter.zero_()
+    battery = load_battery("planar", **(SMALL | {"impulses": [0.1]}))
+    assert run_battery(battery, cfg.env, policy, num_envs=64)["recovered"].all()

@@ -1,0 +1,64 @@
+"""Figures of a battery against SciPy and by hand."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import norm
+
+from zfall.evaluation.battery import load_battery
+from zfall.evaluation.statistics import largest_withstood, success_table, summarize, wilson
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 20), (7, 20), (20, 20), (199, 240)])
+def test_wilson_interval_solves_its_equation(successes, trials):
+    """At its ends |p - rate| = z sqrt(p (1 - p) / n), which defines the interval."""
+    z, rate = norm.ppf(0.975), successes / trials
+    for p in wilson(successes, trials):
+        assert abs(p - rate) == pytest.approx(z * np.sqrt(p * (1 - p) / trials), abs=1e-9)
+
+
+@pytest.mark.parametrize(("rates", "i50", "i90"), [
+    ([1.0, 0.9, 0.5, 0.0], 0.3, 0.2),
+    ([1.0, 0.4, 1.0, 1.0], 0.1, 0.1),  # a hole: what lies beyond it does not count
+    ([0.4, 1.0, 1.0, 1.0], 0.0, 0.0),
+    ([1.0, 1.0, 1.0, 1.0], 0.4, 0.4),
+])  # fmt: skip
+def test_largest_withstood_stops_at_the_first_failure(rates, i50, i90):
+    impulses = np.array([0.1, 0.2, 0.3, 0.4])
+    assert largest_withstood(impulses, np.array(rates), 0.5) == i50
+    assert largest_withstood(impulses, np.array(rates), 0.9) == i90
+
+
+@pytest.fixture
+def trials() -> pd.DataFrame:
+    """Two directions, two impulses, four starts: 1.0 and 0.5 ahead, 0.25 and 0.0 to the left."""
+    outcomes = {
+        (0.0, 0.1): 4,
+        (0.0, 0.2): 2,
+        (1.5, 0.1): 1,
+        (1.5, 0.2): 0,
+        (0.0, 0.0): 4,
+        (1.5, 0.0): 3,
+    }
+    rows = [
+        {"direction_rad": direction, "impulse": impulse, "recovered": i < good, "seed": 7}
+        for (direction, impulse), good in outcomes.items()
+        for i in range(4)
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_success_table_holds_the_rates(trials):
+    np.testing.assert_allclose(success_table(trials), [[1.0, 0.5], [0.25, 0.0]])
+
+
+def test_summary_by_hand(trials):
+    summary = summarize(load_battery("planar"), trials)
+    assert summary["n"] == 24
+    assert summary["i50"] == [0.2, 0.0]
+    assert (summary["i50_mean"], summary["i50_min"]) == (0.1, 0.0)
+    assert summary["i90"] == [0.1, 0.0]
+    assert summary["success"] == {"0.1": 5 / 8, "0.2": 2 / 8}
+    assert summary["success_low"]["0.1"] < 5 / 8 < summary["success_high"]["0.1"]
+    assert (summary["control_falls"], summary["control_n"]) == (1, 8)
+    assert summary["battery_version"] == 1
