@@ -7,6 +7,7 @@ import hydra
 import pandas as pd
 import torch
 from hydra import compose
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -30,10 +31,13 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         battery = load_battery(cfg.battery, **OmegaConf.to_container(cfg.options))
         env_cfg, actor = load_run(cfg)
-        run = Path("runs") / cfg.run if cfg.run in BASELINES else Path(cfg.run)
+        output = Path(HydraConfig.get().runtime.output_dir)
+        run = output if cfg.run in BASELINES else Path(cfg.run)
         folder = run / "evaluation" / cfg.battery
         folder.mkdir(parents=True, exist_ok=True)
     console = Console()
+    left_out = ", ".join(OmegaConf.select(env_cfg, "training_only", default=[])) or "nothing"
+    console.print(f"{battery.name} of {cfg.run}; of the env's transforms left out: {left_out}")
     trials = evaluate(battery, env_cfg, actor, cfg, console, servos=cfg.run != "limp")
     baseline = None
     if cfg.run not in BASELINES:
@@ -43,15 +47,17 @@ def main(cfg: DictConfig) -> None:
     trials.to_csv(folder / "trials.csv.tmp", index=False)
     (folder / "trials.csv.tmp").replace(folder / "trials.csv")
     (folder / "summary.json").write_text(json.dumps(summary, indent=2))
-    title = f"{run.name}: share recovered, {battery.name}"
+    title = f"{Path(cfg.run).name}: share recovered, {battery.name}"
     success_map(trials, folder / "success_map.png", title=title, baseline=baseline)
-    console.print(table({str(run.name): summary}))
+    console.print(table({cfg.run: summary}))
     console.print(
         f"I50 mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f}; "
         f"I90 mean {summary['i90_mean']:.3f}; "
         f"falls without a push {summary['control_falls']} of {summary['control_n']}"
     )
     console.print(f"wrote {folder}/trials.csv, summary.json, success_map.png")
+    if not any(output.iterdir()):  # hydra makes it; the results lie in the run folder
+        output.rmdir()
 
 
 def load_run(cfg: DictConfig) -> tuple[DictConfig, torch.nn.Module | None]:

@@ -17,8 +17,9 @@ from recipes.learner import Learner
 from zfall.evaluation.battery import Battery, battery_env, load_battery, play, run_battery
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.statistics import summarize
-from zfall.evaluation.video import choose_gl, film
+from zfall.evaluation.video import film
 
+FRAME = 0.08  # time between two frames of the film [s]
 SIDES = {
     "from behind": 0.0,
     "from the right": 90.0,
@@ -87,15 +88,12 @@ def video(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
 ) -> None:
     """Films a push of I = 0.5 from four sides, the policy above ``pose_hold``."""
-    choose_gl()
     rows = {"trained": record(battery, env_cfg, actor), "pose_hold": record(battery, env_cfg, None)}
     states = {name: qpos for name, (qpos, _) in rows.items()}
     env, _, _ = battery_env(battery, env_cfg, 64)
     base = env.base_env
     try:
-        film(
-            base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=base.control_dt
-        )
+        film(base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=FRAME)
     except RuntimeError as error:
         console.print(f"no video: {error}")
 
@@ -103,7 +101,10 @@ def video(
 def record(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.5
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side at 0.6 s."""
+    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side at 0.6 s.
+
+    One in ``FRAME`` seconds of the 3.6 s; a force is the largest since the frame before.
+    """
     env, _, push = battery_env(battery, env_cfg, 64)
     base = env.base_env
     force = size * base.robot.impulse_unit / battery.duration
@@ -112,7 +113,12 @@ def record(
         push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])
     push.time[:] = 0.6
     qpos, forces = [], []
-    for td in play(env, actor, round(4.0 / base.control_dt)):
-        qpos.append(base.simulation.qpos[:4].numpy().copy())
-        forces.append(td["push", "force"][:4].numpy().copy())
+    every = max(1, round(FRAME / base.control_dt))
+    recent: list[np.ndarray] = []
+    for step, td in enumerate(play(env, actor, round(3.6 / base.control_dt))):
+        recent.append(td["push", "force"][:4].numpy().copy())
+        if step % every == 0:
+            qpos.append(base.simulation.qpos[:4].numpy().copy())
+            forces.append(max(recent, key=lambda force: float(np.abs(force).sum())))
+            recent = []
     return np.stack(qpos), np.stack(forces)

@@ -10,7 +10,6 @@ from zfall.evaluation import video
 
 
 def test_film_has_a_frame_per_step_and_shows_the_robot(tmp_path):
-    video.choose_gl()
     model = mujoco.MjModel.from_xml_path(ZEROTH01.mjcf)
     states = np.tile(model.key("stand").qpos, (5, 2, 1))
     forces = np.zeros((5, 2, 3))

@@ -1,7 +1,5 @@
 """Films of trials: a policy beside the pose held by the servos."""
 
-import os
-import sys
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -53,6 +51,7 @@ def film(
     Raises:
         RuntimeError: if no OpenGL is to be had.
     """
+    model.vis.quality.offsamples = 2  # software OpenGL pays for every sample
     renderer = make_renderer(model, *tile)
     option = mujoco.MjvOption()
     option.sitegroup[:] = 0
@@ -69,7 +68,7 @@ def film(
                     mujoco.mj_forward(model, data)
                     renderer.update_scene(data, camera="track", scene_option=option)
                     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-                    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+                    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
                     _draw_arrow(renderer.scene, data, forces[t, c])
                     tiles.append(renderer.render())
                 lines.append(np.concatenate(tiles, 1))
@@ -117,9 +116,3 @@ def _text(text: str, width: int, height: int) -> NDArray[np.uint8]:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-def choose_gl() -> None:
-    """Picks an OpenGL without a screen, before MuJoCo looks for one, unless the user did."""
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
