@@ -13,7 +13,6 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from zfall.losses.symmetry import Mirror
 from zfall.modules.actors import normalizer_of
 
 
@@ -58,9 +57,6 @@ class Learner:
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
         flags += ["episode_reward", "step_count", "diverged"]
         self._stored = [*self._learned, *(("next", key) for key in [*inputs, *flags])]
-        if cfg.symmetry and hidden:
-            raise ValueError("symmetry must be false for a recurrent actor or critic, got true.")
-        self.mirror = Mirror.of(self.env) if cfg.symmetry else None
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
 
@@ -87,8 +83,6 @@ class Learner:
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
         if not recurrent_keys(self.actor) and not recurrent_keys(self.critic):
             data = data.reshape(-1)  # else a minibatch holds whole sequences
-        if self.mirror is not None:
-            data = torch.cat([data, self._mirrored(data)])
         size = -(-len(data) // cfg.minibatches)
         for _ in range(cfg.epochs):
             outputs = []
@@ -109,14 +103,6 @@ class Learner:
         normalizer_of(self.critic).update(batch["observation_critic"])
         self.updates += 1
         return means
-
-    def _mirrored(self, data: TensorDictBase) -> TensorDictBase:
-        """Mirror images of the transitions, with the log-probability they have today."""
-        assert self.mirror is not None
-        images = self.mirror(data)
-        with torch.no_grad():
-            log_prob = self.actor.get_dist(images.copy()).log_prob(images["action"])
-        return images.set("action_log_prob", log_prob)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""

@@ -22,7 +22,7 @@ from zfall import checkpoint
 
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches"),
-    *("max_grad_norm", "resume", "checkpoint_every", "symmetry", "env", "actor", "critic", "loss"),
+    *("max_grad_norm", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
     *("optimizer", "scheduler", "showcase", "experiment"),
 }
 
