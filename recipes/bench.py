@@ -111,11 +111,12 @@ class EnvStepper:
         self.td = env.reset()
         self.count = 0
 
-    def step(self) -> None:
-        """One control step of all worlds."""
+    def step(self) -> torch.Tensor:
+        """One control step of all worlds; returns its targets."""
         self.td["action"] = self.actions[self.count % len(self.actions)]
-        _, self.td = self.env.step_and_maybe_reset(self.td)
+        data, self.td = self.env.step_and_maybe_reset(self.td)
         self.count += 1
+        return data["next", "target"]
 
     def run(self, seconds: float) -> float:
         """Control steps/s of the env."""
@@ -130,8 +131,7 @@ class EnvStepper:
         simulation, states, controls = self.env.base_env.simulation, [], []
         for _ in range(steps):
             states.append(simulation.state_dict()["state"])
-            self.step()
-            controls.append(self.td["target"].clone())
+            controls.append(self.step())
         return torch.cat(states), torch.cat(controls)
 
     def transform_shares(self, seconds: float) -> dict[str, float]:

@@ -13,6 +13,7 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from zfall.evaluation.battery import load_battery
 from zfall.modules.actors import normalizer_of
 
 
@@ -24,15 +25,21 @@ class Learner:
     """
 
     def __init__(self, cfg: DictConfig):
+        for key in ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every"):
+            if cfg[key] < 1:
+                raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
+        load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)
         spec, action_spec = self.env.observation_spec, self.env.action_spec
         self.actor = instantiate(cfg.actor, spec, action_spec)
         self.critic = instantiate(cfg.critic, spec)
-        for module in (self.actor, self.critic):
-            if recurrent_keys(module):
-                self.env.append_transform(get_primers_from_module(module))
+        hidden = recurrent_keys(self.actor)
+        if recurrent_keys(self.critic):
+            raise ValueError("critic must be feed-forward: its state is not collected, got a GRU.")
+        if hidden:
+            self.env.append_transform(get_primers_from_module(self.actor))
         self.env.set_seed(cfg.seed)
         loss = cfg.loss
         self.advantage = GAE(
@@ -51,7 +58,6 @@ class Learner:
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
-        hidden = [*recurrent_keys(self.actor), *recurrent_keys(self.critic)]
         inputs = ["observation", "observation_critic", "is_init", *hidden]
         self._learned = [*inputs, "action", "action_log_prob"]
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
@@ -81,7 +87,7 @@ class Learner:
         with torch.no_grad(), set_recurrent_mode(True):
             self.advantage(batch)
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
-        if not recurrent_keys(self.actor) and not recurrent_keys(self.critic):
+        if not recurrent_keys(self.actor):
             data = data.reshape(-1)  # else a minibatch holds whole sequences
         size = -(-len(data) // cfg.minibatches)
         for _ in range(cfg.epochs):

@@ -20,8 +20,8 @@ def one_line_errors() -> Iterator[None]:
         raise SystemExit(f"error: {_flat(str(error))}") from None
 
 
-def check_keys(cfg: DictConfig, known: set[str]) -> None:
-    """Refuses top-level keys that nothing reads.
+def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
+    """Refuses keys that nothing reads.
 
     Raises:
         ValueError: naming the key and the nearest known one.
@@ -30,7 +30,8 @@ def check_keys(cfg: DictConfig, known: set[str]) -> None:
         if key not in known:
             near = get_close_matches(str(key), known, n=1)
             hint = f"; did you mean {near[0]}?" if near else "."
-            raise ValueError(f"{key} is not a key of the config ({', '.join(sorted(known))}){hint}")
+            names = ", ".join(sorted(known))
+            raise ValueError(f"{prefix}{key} is not a key of the config ({names}){hint}")
 
 
 def _innermost(error: BaseException) -> str:

@@ -14,12 +14,12 @@ from rich.table import Table
 from torch import Tensor
 
 from recipes.learner import Learner
+from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import Battery, battery_env, load_battery, play, run_battery
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import film
 
-FRAME = 0.08  # time between two frames of the film [s]
 SIDES = {
     "from behind": 0.0,
     "from the right": 90.0,
@@ -67,8 +67,9 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
 def table(summaries: dict[str, dict[str, Any]]) -> Table:
     """Success by impulse and the headline figures, one column per policy."""
     first = next(iter(summaries.values()))
-    out = Table(title=f"planar, {first['n']} trials each: recovered of all, with 95 % interval")
-    out.add_column("push I (force for 0.1 s)")
+    duration = first["definition"]["duration"]
+    out = Table(title=f"planar, {first['n']} trials each: share recovered, 95 % interval")
+    out.add_column(f"push I (N for {duration:g} s)")
     for name in summaries:
         out.add_column(name, justify="right")
     for key in first["success"]:
@@ -77,8 +78,11 @@ def table(summaries: dict[str, dict[str, Any]]) -> Table:
             f"{100 * s['success_high'][key]:.0f}]"
             for s in summaries.values()
         ]
-        out.add_row(f"{key} ({49.2 * float(key):.0f} N)", *cells)
-    out.add_row("mean I50", *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
+        out.add_row(f"{key} ({first['force_n'][key]:.0f} N)", *cells)
+    label = (
+        "mean I50" if len(first["success"]) > 9 else f"mean I50 (of {', '.join(first['success'])})"
+    )
+    out.add_row(label, *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
     falls = (f"{s['control_falls']} of {s['control_n']}" for s in summaries.values())
     out.add_row("falls without a push", *falls)
     return out
@@ -93,9 +97,14 @@ def video(
     env, _, _ = battery_env(battery, env_cfg, 64)
     base = env.base_env
     try:
-        film(base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=FRAME)
+        film(base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=frame(base))
     except RuntimeError as error:
         console.print(f"no video: {error}")
+
+
+def frame(env: HumanoidEnv) -> float:
+    """Time between two frames of the film: whole control steps, about 0.08 s."""
+    return max(1, round(0.08 / env.control_dt)) * env.control_dt
 
 
 def record(
@@ -103,7 +112,7 @@ def record(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side at 0.6 s.
 
-    One in ``FRAME`` seconds of the 3.6 s; a force is the largest since the frame before.
+    One every ``frame`` seconds of 3.6 s; a force is the largest since the frame before.
     """
     env, _, push = battery_env(battery, env_cfg, 64)
     base = env.base_env
@@ -113,7 +122,7 @@ def record(
         push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])
     push.time[:] = 0.6
     qpos, forces = [], []
-    every = max(1, round(FRAME / base.control_dt))
+    every = round(frame(base) / base.control_dt)
     recent: list[np.ndarray] = []
     for step, td in enumerate(play(env, actor, round(3.6 / base.control_dt))):
         recent.append(td["push", "force"][:4].numpy().copy())

@@ -3,6 +3,8 @@
 import csv
 import math
 import os
+import shutil
+import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,17 +29,23 @@ KEYS = {
 }
 
 
+LOSS_KEYS = {"gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"}
+
+
 @hydra.main(version_base=None, config_path=".", config_name="train")
 def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     with one_line_errors():
         check_keys(cfg, KEYS)
+        check_keys(cfg.loss, LOSS_KEYS, "loss.")
+        check_keys(cfg.showcase, {"sizes", "starts", "video"}, "showcase.")
         folder = Path(HydraConfig.get().runtime.output_dir)
         state = None
         if cfg.resume is not None:
             folder = Path(cfg.resume)
             state = checkpoint.load(folder / "checkpoints" / "last.pt")
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
+            shutil.rmtree(HydraConfig.get().runtime.output_dir)  # hydra's, of no use here
         learner = Learner(cfg)
         untrained = {key: value.clone() for key, value in learner.actor.state_dict().items()}
         run = RunFolder(folder)
@@ -46,12 +54,9 @@ def main(cfg: DictConfig) -> None:
             learner.load_state_dict(state)
             run.load_state_dict(state["run"])
     console = Console()
-    try:
-        train(learner, run, console)
-    except KeyboardInterrupt:
-        run.save(learner, "last")
+    if not train(learner, run, console):
         console.print(f"stopped; go on with: python -m recipes.train resume={folder}")
-        raise SystemExit(130) from None
+        raise SystemExit(130)
     show(learner, untrained, folder, console)
 
 
@@ -59,22 +64,27 @@ def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictC
     """The config of a run, with the values that were given to resume it.
 
     Raises:
-        ValueError: if an override would swap a whole part, or names an unknown key.
+        ValueError: on a value that cannot change in the middle of a run.
     """
-    cfg = OmegaConf.create(stored)
+    free = ("total_frames", "checkpoint_every", "showcase")
     for override in overrides:
-        key, _, value = override.partition("=")
-        if key == "resume":
-            continue
-        if OmegaConf.is_dict(OmegaConf.select(cfg, key)) or key == "experiment":
-            raise ValueError(f"{key} must not be given with resume, it is that of {folder}.")
-        OmegaConf.set_struct(cfg, True)
-        OmegaConf.update(cfg, key, OmegaConf.create({"value": value}).value)
-    return cfg
+        key = override.partition("=")[0]
+        if key != "resume" and key.split(".")[0] not in free:
+            raise ValueError(
+                f"{key} must not be given with resume, it is that of {folder}; "
+                f"only {', '.join(free)} may change."
+            )
+    given = [item for item in overrides if not item.startswith("resume=")]
+    return OmegaConf.merge(OmegaConf.create(stored), OmegaConf.from_dotlist(given))
 
 
-def train(learner: Learner, run: "RunFolder", console: Console) -> None:
-    """The learning loop: collect, learn, write down."""
+def train(learner: Learner, run: "RunFolder", console: Console) -> bool:
+    """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
+    stop: list[int] = []  # the first ctrl-c lets the update end, so that it can be resumed exactly
+    previous = signal.signal(
+        signal.SIGINT,
+        lambda number, _: stop.append(number) or signal.signal(number, previous),  # type: ignore[func-returns-value]
+    )
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = max(1, -(-int(cfg.total_frames) // learner.frames_per_batch))
     with progress_bar(console) as bar:
@@ -98,6 +108,11 @@ def train(learner: Learner, run: "RunFolder", console: Console) -> None:
             if not console.is_terminal and learner.updates % 10 == 0:
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
                 console.print(f"{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
+            if stop:
+                run.save(learner, "last")
+                return False
+    signal.signal(signal.SIGINT, previous)
+    return True
 
 
 def progress_bar(console: Console) -> Progress:
@@ -151,7 +166,7 @@ class RunFolder:
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
         self.recent = [*self.recent, metrics["reward"]][-10:]
-        row = {"update": learner.updates, "frames": learner.frames, **metrics, **self.last}
+        row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
         row["kl"] = losses.pop("kl")
         row["learning_rate"] = learner.optimizer.param_groups[0]["lr"]
         row |= {f"loss/{k.removeprefix('loss_')}": v for k, v in losses.items()}

@@ -1,12 +1,16 @@
 """Recipes from the shell: they run, write their files, and refuse bad input in one line."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pandas as pd
 import pytest
+
+from zfall import checkpoint
 
 ROOT = Path(__file__).parents[1]
 TINY = ["num_envs=8", "rollout_steps=4", "minibatches=2", "total_frames=64", "checkpoint_every=1",
@@ -55,17 +59,45 @@ def test_battery_of_a_run_and_of_a_baseline(trained, tmp_path):
     assert (folder / "success_map.png").exists()
 
 
+@pytest.mark.parametrize("name", ["pose_hold", "limp"])
+def test_battery_of_a_baseline_goes_into_hydras_folder(name, tmp_path):
+    options = "options={starts: 1, directions: 2, impulses: [0.2], end_time: 3.4}"
+    done = run("evaluate", f"run={name}", options, "num_envs=64", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "evaluation" / "planar" / "summary.json").read_text())
+    assert summary["control_falls"] == (2 if name == "limp" else 0)
+    assert summary["definition"]["starts"] == 1
+
+
+def test_rows_of_metrics_keep_their_columns_when_no_episode_ends(tmp_path):
+    """The first batch of 4 steps ends no episode, later ones do."""
+    more = ["total_frames=256", "env.transforms.limit.seconds=0.2", f"hydra.run.dir={tmp_path}"]
+    done = run("train", *TINY, *more)
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(tmp_path / "metrics.csv")
+    assert metrics["episodes"].iloc[0] == 0 < metrics["episodes"].max()
+    assert metrics["episode_return"].isna().iloc[0]
+    ended = metrics[metrics["episodes"] > 0]
+    assert (ended["episode_seconds"] - 0.2).abs().max() < 1e-6
+    assert (metrics["reward/survival"] - 0.1).abs().max() < 1e-6
+    assert (metrics["kl"] >= 0).all()
+
+
+EVENTFUL = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seconds=0.3"]
+
+
 @pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
 def test_stopped_and_resumed_run_equals_the_one_not_stopped(actor, tmp_path):
     """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    common = [*TINY, f"actor={actor}"]
+    common = [*TINY, *EVENTFUL, f"actor={actor}"]
     assert run("train", *common, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
     assert run("train", *common, "total_frames=64", f"hydra.run.dir={parts}").returncode == 0
     with (parts / "metrics.csv").open("a") as file:
         file.write("3,96,half a row")
     done = run("train", f"resume={parts}", "total_frames=128", f"hydra.run.dir={tmp_path}/x")
     assert done.returncode == 0, done.stderr
+    assert pd.read_csv(whole / "metrics.csv")["episodes"].sum() > 0
     assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
 
 
@@ -84,6 +116,11 @@ BAD = [
     (["+env.transforms.push.impulze=1"], "impulze"),
     (["+epoch=3"], "epoch is not a key of the config"),
     (["actor=mlp_transformer"], "mlp_transformer"),
+    (["+loss.clip_eps=0.3"], "loss.clip_eps is not a key of the config"),
+    (["+showcase.foo=1"], "showcase.foo is not a key of the config"),
+    (["rollout_steps=0"], "rollout_steps must be at least 1, got 0"),
+    (["showcase.starts=0"], "starts must be at least 1, got 0"),
+    (["critic={_target_: zfall.modules.critics.gru_critic}"], "critic must be feed-forward"),
     (["resume=nowhere"], "there is no such file"),
     (["hydra.run.dir=/proc/zfall"], "/proc/zfall"),
 ]
@@ -96,13 +133,51 @@ def test_bad_input_ends_before_the_first_step_with_a_clear_line(overrides, messa
     assert done.returncode != 0
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+    if "=" in overrides[0] and message != "mlp_transformer":
+        lines = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+        assert len(lines) == 1
     assert not (tmp_path / "metrics.csv").exists()
 
 
-def test_checkpoint_of_another_actor_is_refused(trained, tmp_path):
-    done = run("train", *TINY, f"resume={trained}", "actor=mlp_mog", f"hydra.run.dir={tmp_path}")
+def test_resuming_with_another_actor_is_refused(trained, tmp_path):
+    done = run("train", f"resume={trained}", "actor=mlp_mog", f"hydra.run.dir={tmp_path}")
     assert done.returncode != 0
     assert "actor must not be given with resume" in done.stderr
+
+
+def test_checkpoint_of_another_robot_is_refused(trained, tmp_path):
+    content = checkpoint.load(trained / "checkpoints" / "last.pt")
+    content.pop("format")
+    (tmp_path / "checkpoints").mkdir()
+    checkpoint.save(tmp_path / "checkpoints" / "last.pt", content | {"robot": "other"})
+    done = run("evaluate", f"run={tmp_path}")
+    assert done.returncode != 0
+    assert "must be of the robot zeroth01, it is of other" in done.stderr
+
+
+def test_ctrl_c_ends_after_an_update_and_can_be_resumed(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "recipes.train",
+        *TINY,
+        "total_frames=320000",
+        f"hydra.run.dir={tmp_path}",
+    ]
+    process = subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    metrics = tmp_path / "metrics.csv"
+    for _ in range(600):
+        if metrics.exists() and len(metrics.read_text().splitlines()) > 3:
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "resume=" in out.replace("\n", "")
+    state = checkpoint.load(tmp_path / "checkpoints" / "last.pt")
+    assert state["updates"] == len(pd.read_csv(metrics))
 
 
 def test_run_without_a_checkpoint_is_refused(tmp_path):

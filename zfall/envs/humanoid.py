@@ -191,12 +191,27 @@ class HumanoidEnv(EnvBase):
         start = {
             key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)
         }
-        sensors = self._place(rows, start)[:, -1:]  # the same in all steps of the new rows
-        return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool))
+        sensors = self._place(rows, start)
+        return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool), rows)
 
-    def _observe(self, sensors: Tensor, diverged: Tensor) -> TensorDictBase:
-        """All keys; the episode ends only where the physics failed."""
-        out = self._quantities(self.simulation.qpos, self.simulation.qvel, sensors)
+    def _observe(
+        self, sensors: Tensor, diverged: Tensor, rows: Tensor | None = None
+    ) -> TensorDictBase:
+        """All keys; the episode ends only where the physics failed.
+
+        After a reset only ``rows`` count: the rest is zero, and TorchRL keeps what it had there.
+        """
+        qpos, qvel = self.simulation.qpos, self.simulation.qvel
+        if rows is None:
+            out = self._quantities(qpos, qvel, sensors)
+        else:  # the sensor values are the same in all steps of the new rows
+            new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:])
+            out = TensorDict(
+                {k: v.new_zeros(self.num_envs, *v.shape[1:]) for k, v in new.items()},
+                batch_size=self.batch_size,
+            )
+            for key, value in new.items():
+                out[key][rows] = value
         for key in ("diverged", "terminated", "done"):
             out[key] = diverged.clone()
         out["truncated"] = torch.zeros_like(diverged)
@@ -226,10 +241,10 @@ class HumanoidEnv(EnvBase):
     def _clearance(self, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
         """Height of the lowest corner of the soles above the floor ``(K,)`` [m]."""
         sensors = self.simulation.sensors_of(qpos, qvel, control)
-        feet = self._quantities(qpos, qvel, sensors[:, None])
-        slope = up_axis(feet["feet_orientation"])[..., :2].abs()
-        drop = (slope * torch.tensor(self.robot.sole_half_size)).sum(-1)
-        return (feet["feet_position"][..., 2] - drop).amin(-1).double()
+        position, orientation = self._quantities.soles(sensors)
+        slope = up_axis(orientation)[..., :2].abs()
+        drop = (slope * slope.new_tensor(self.robot.sole_half_size)).sum(-1)
+        return (position[..., 2] - drop).amin(-1)
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng.manual_seed(0 if seed is None else int(seed))

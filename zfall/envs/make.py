@@ -39,7 +39,7 @@ def make_env(
     if unknown:
         raise ValueError(
             f"training_only must name transforms of the table ({', '.join(transforms)}), "
-            f"got {', '.join(unknown)}."
+            f"got {', '.join(unknown)}; a transform taken out of the table leaves this list too."
         )
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
     used = {k: v for k, v in transforms.items() if training or k not in training_only}

@@ -83,6 +83,16 @@ class Quantities:
         out["feet_corner_force"] = -last[:, self._corners].unflatten(-1, (2, -1))
         return TensorDict(out, batch_size=[len(qpos)])
 
+    def soles(self, sensors: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions ``(K, 2, 3)`` and orientations ``(K, 2, 4)`` of the soles alone.
+
+        Args:
+            sensors: sensor values of K states ``(K, nsensordata)``.
+        """
+        keys = ("feet_position", "feet_orientation")
+        position, orientation = (sensors[:, self._last[key]] for key in keys)
+        return position, orientation
+
     def _peak_force(self, values: Tensor) -> Tensor:
         """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
         parts = values[..., self._region_force]  # (K, S, sensors, 3)

@@ -61,7 +61,12 @@ def load_battery(name: str, **options: Any) -> Battery:
             f"options of battery {name} are {', '.join(table[name])}, got {unknown[0]}."
         )
     numbers = table[name] | options
-    numbers["impulses"] = tuple(numbers["impulses"])
+    numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
+    if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
+        raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
+    for key in ("directions", "starts"):
+        if numbers[key] < 1:
+            raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
     return Battery(version=version, name=name, **numbers)
 
 

@@ -17,8 +17,8 @@ def success_map(
 ) -> None:
     """Polar map of the success rate: angle is the push's heading, radius its impulse.
 
-    The robot stands in the middle and looks up. A line marks I50 in each direction, a dashed one
-    that of the baseline.
+    The robot stands in the middle and looks up. A line marks I50 in each direction, a dotted
+    one that of the baseline.
 
     Args:
         trials: of a planar battery.

@@ -1,5 +1,6 @@
 """From trials to figures that can be compared."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
     """The summary of a planar battery: headline figures and success by impulse.
 
     ``success`` at an impulse is over all directions and starts, with its Wilson 95 % interval.
+    ``control_falls`` are trials without a push in which something but the feet met the floor.
     """
     table = success_table(trials)
     impulses = table.columns.to_numpy()
@@ -51,8 +53,7 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
     summary: dict[str, Any] = {
         "battery": battery.name,
         "battery_version": battery.version,
-        "point": battery.point,
-        "duration_s": battery.duration,
+        "definition": asdict(battery),
         "seed": int(trials["seed"].iloc[0]),
         "n": len(trials),
         "i50_mean": float(np.mean(i50)),
@@ -65,7 +66,8 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
         "success": {},
         "success_low": {},
         "success_high": {},
-        "control_falls": int((~control["recovered"]).sum()),
+        "force_n": {},
+        "control_falls": int(control["fell"].sum()),
         "control_n": len(control),
     }
     for impulse, group in trials[trials["impulse"] > 0].groupby("impulse"):
@@ -73,4 +75,5 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
         summary["success"][key] = successes / len(group)
         low, high = wilson(successes, len(group))
         summary["success_low"][key], summary["success_high"][key] = low, high
+        summary["force_n"][key] = float(group["force_n"].iloc[0])
     return summary

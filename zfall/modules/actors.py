@@ -104,6 +104,7 @@ def mlp_actor(
     num_cells: Sequence[int] = (128, 128),
     components: int = 0,
     std: float = 0.5,
+    statistic: str = "mean",
 ) -> ProbabilisticActor:
     """Feed-forward actor: ``observation`` ``(*B, D)`` -> ``action`` ``(*B, J)``.
 
@@ -112,12 +113,16 @@ def mlp_actor(
         num_cells: widths of the hidden layers.
         components: Gaussians per joint; 0 for a plain Gaussian with a learned deviation.
         std: standard deviation at the start, in units of the action.
+        statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
+
+    Raises:
+        ValueError: on another statistic.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     head = make_head(num_cells[-1], joints, components, std)
     net = nn.Sequential(ObservationNormalizer(size), mlp_trunk(size, num_cells), head)
     module = TensorDictModule(net, in_keys=["observation"], out_keys=list(head.keys))
-    return _actor(module, head)
+    return _actor(module, head, statistic)
 
 
 def gru_actor(
@@ -128,6 +133,7 @@ def gru_actor(
     num_layers: int = 3,
     components: int = 3,
     std: float = 0.5,
+    statistic: str = "mean",
 ) -> ProbabilisticActor:
     """Recurrent actor: a linear layer, stacked GRU cells, a head.
 
@@ -141,6 +147,10 @@ def gru_actor(
         num_layers: number of GRU layers.
         components: Gaussians per joint; 0 for a plain Gaussian with a learned deviation.
         std: standard deviation at the start, in units of the action.
+        statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
+
+    Raises:
+        ValueError: on another statistic.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     head = make_head(hidden_size, joints, components, std)
@@ -150,7 +160,7 @@ def gru_actor(
         gru(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
         TensorDictModule(head, in_keys=["features_actor"], out_keys=list(head.keys)),
     )
-    return _actor(module, head)
+    return _actor(module, head, statistic)
 
 
 def gru(size: int, num_layers: int, in_key: str, out_key: str, hidden: str) -> GRUModule:
@@ -164,12 +174,20 @@ def gru(size: int, num_layers: int, in_key: str, out_key: str, hidden: str) -> G
     )
 
 
-def _actor(module: TensorDictModule, head: GaussianHead | MixtureHead) -> ProbabilisticActor:
+def _actor(
+    module: TensorDictModule, head: GaussianHead | MixtureHead, statistic: str
+) -> ProbabilisticActor:
+    if statistic not in ("mean", "mode"):
+        raise ValueError(f"statistic must be mean or mode, got {statistic!r}.")
+    mixture = isinstance(head, MixtureHead)
     actor = ProbabilisticActor(
         module,
         in_keys=list(head.keys),
         out_keys=["action"],
         distribution_class=head.distribution,
+        distribution_kwargs={"statistic": statistic}
+        if mixture
+        else {},  # of a Gaussian both are one
         return_log_prob=True,
     )
     kept = ["action", "action_log_prob"]

@@ -16,13 +16,15 @@ class MixtureOfGaussians(Distribution):
         logits: unnormalised log weights ``(*B, J, K)``.
         loc: means ``(*B, J, K)``.
         scale: standard deviations ``(*B, J, K)``, positive.
+        statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
     """
 
     arg_constraints: dict[str, constraints.Constraint] = {}
     support = constraints.independent(constraints.real, 1)
     has_rsample = False
 
-    def __init__(self, logits: Tensor, loc: Tensor, scale: Tensor):
+    def __init__(self, logits: Tensor, loc: Tensor, scale: Tensor, statistic: str = "mean"):
+        self.statistic = statistic
         self.log_weight, self.loc, self.scale = logits.log_softmax(-1), loc, scale
         super().__init__(loc.shape[:-2], loc.shape[-2:-1], validate_args=False)
 
@@ -73,8 +75,8 @@ class MixtureOfGaussians(Distribution):
 
     @property
     def deterministic_sample(self) -> Tensor:
-        """What the policy does when it does not explore: the mean."""
-        return self.mean
+        """What the policy does when it does not explore."""
+        return self.mode if self.statistic == "mode" else self.mean
 
     def entropy(self) -> Tensor:
         """Estimate of the entropy ``(*B,)`` with a gradient, summed over joints.

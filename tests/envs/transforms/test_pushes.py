@@ -100,6 +100,24 @@ def test_push_point_off_the_center_of_mass_turns_the_body_and_rides_on_it(make_t
     assert name == "push_point/elbow"
 
 
+def test_push_off_the_center_of_mass_gives_the_angular_momentum_of_its_lever(make_task):
+    """In the air without gravity, L = r x J about the center of mass, r to the push point."""
+    plan = torch.tensor([[0.0, 6.0, 0.0]])
+    push = {"point": "chest", "duration": 0.02, "time": torch.full((1,), 0.02), "plan": plan}
+    env = pushed(make_task, push, kind=ScriptedPush, num_envs=1, control_dt=0.02, physics_dt=0.001)
+    base = env.base_env
+    base.simulation.model.opt.gravity[:] = 0
+    td = env.reset()
+    base.simulation.qpos[:, 2] = 2.0
+    for _ in range(3):
+        td["action"] = torch.zeros(1, 20)
+        td = env.step(td)["next"]
+    lever = td["base_position"] + torch.tensor([[0.0, 0.0, 0.026]]) - td["com_position"]
+    expected = torch.linalg.cross(lever, 0.02 * plan)
+    assert expected[0, 0].abs() > 0.01  # a lever of 0.14 m
+    assert_close(td["angular_momentum"], expected, atol=0.04 * expected.norm().item(), rtol=0)
+
+
 def test_no_push_comes_right_after_a_reset(make_task):
     env = pushed(
         make_task, {"force": (5.0, 5.0), "duration": 0.1, "interval": (0.2, 0.4)}, num_envs=64

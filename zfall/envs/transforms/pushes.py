@@ -92,7 +92,8 @@ class RandomPush(_Push):
         env: the base env.
         point: where it acts: a push point or a link, see ``HumanoidEnv.push_targets``.
         duration: length of a push [s].
-        interval: shortest and longest rest before a push [s], the first one included.
+        interval: shortest and longest rest before a push [s], the first one included. A rest may
+            grow to the end of the control step in which the push before it ended.
         force: smallest and largest force [N]; or
         impulse: smallest and largest impulse [N s]; or
         size: smallest and largest dimensionless impulse, ``impulse / (m sqrt(g h0))``.
