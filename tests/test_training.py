@@ -1,0 +1,29 @@
+"""Real training: minutes each, run with ``make slow-test``."""
+
+import pandas as pd
+import pytest
+
+from recipes.learner import Learner
+from zfall.evaluation.battery import load_battery, run_battery
+
+FRAMES = 1_500_000
+
+
+def success(trials: pd.DataFrame) -> float:
+    return trials[trials["impulse"] == 0.4]["recovered"].mean()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "mlp_mog", "gru_mog"])
+def test_policy_learns_to_withstand_pushes_that_fell_the_held_pose(compose_config, actor):
+    """Success at I = 0.4 over 12 directions x 5 starts, against servos that hold the pose."""
+    cfg = compose_config(f"actor={actor}")
+    battery = load_battery("planar", impulses=[0.4], starts=5)
+    baseline = success(run_battery(battery, cfg.env, None))
+    learner = Learner(cfg)
+    while learner.frames < FRAMES:
+        learner.learn(learner.collect())
+    trials = run_battery(battery, cfg.env, learner.actor)
+    print(f"{actor}: {success(trials):.3f} after {learner.frames} frames, pose_hold {baseline:.3f}")
+    assert success(trials) > baseline + 0.1
+    assert not trials[trials["impulse"] == 0.0]["fell"].any()
