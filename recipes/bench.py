@@ -19,7 +19,7 @@ from rich.table import Table
 from torchrl.envs import TransformedEnv
 
 from recipes.learner import Learner
-from recipes.one_line import check_keys, one_line_errors
+from recipes.one_line import check_keys, one_line_errors, start
 
 ROUNDS = 4  # every figure is measured in turn, several times: the machine's speed drifts
 
@@ -164,4 +164,4 @@ def timed(function: Callable[..., Any], spent: dict[str, float], key: str) -> Ca
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from recipes.one_line import check_keys, one_line_errors
+from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import table
 from zfall import checkpoint
 from zfall.evaluation.battery import Battery, load_battery, run_battery
@@ -21,7 +21,8 @@ from zfall.evaluation.plots import success_map
 from zfall.evaluation.statistics import summarize
 
 BASELINES = ("pose_hold", "limp")
-KEYS = {"run", "battery", "checkpoint", "num_envs", "seed", "options", "env"}
+OPTIONS = ("point", "duration", "directions", "impulses", "starts")
+KEYS = {"run", "battery", "checkpoint", "num_envs", "seed", "env", *OPTIONS}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
@@ -29,7 +30,8 @@ def main(cfg: DictConfig) -> None:
     """Writes ``evaluation/BATTERY/{trials.csv, summary.json, *.png}`` into the run folder."""
     with one_line_errors():
         check_keys(cfg, KEYS)
-        battery = load_battery(cfg.battery, **OmegaConf.to_container(cfg.options))
+        options = {key: cfg[key] for key in OPTIONS if cfg[key] is not None}
+        battery = load_battery(cfg.battery, **options)
         env_cfg, actor = load_run(cfg)
         output = Path(HydraConfig.get().runtime.output_dir)
         run = output if cfg.run in BASELINES else Path(cfg.run)
@@ -41,7 +43,7 @@ def main(cfg: DictConfig) -> None:
     trials = evaluate(battery, env_cfg, actor, cfg, console, servos=cfg.run != "limp")
     baseline = None
     if cfg.run not in BASELINES:
-        short = load_battery(cfg.battery, **{**OmegaConf.to_container(cfg.options), "starts": 5})
+        short = load_battery(cfg.battery, **(options | {"starts": 5}))
         baseline = evaluate(short, env_cfg, None, cfg, console, name="pose_hold, 5 starts")
     summary = summarize(battery, trials)
     trials.to_csv(folder / "trials.csv.tmp", index=False)
@@ -106,4 +108,4 @@ def evaluate(
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -28,7 +28,8 @@ class Learner:
         for key in ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every"):
             if cfg[key] < 1:
                 raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
-        load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
+        if cfg.showcase:  # refused now rather than after the training
+            load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)

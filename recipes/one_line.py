@@ -1,12 +1,20 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
-from hydra.errors import InstantiationException
+from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+
+
+def start(main: Callable[[], None]) -> None:
+    """Runs a recipe's main from the shell, hydra's own errors included."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # else hydra prints errors its own way, on many lines
+    with one_line_errors():
+        main()
 
 
 @contextmanager
@@ -16,7 +24,7 @@ def one_line_errors() -> Iterator[None]:
         yield
     except InstantiationException as error:
         raise SystemExit(f"error: {_innermost(error)}") from None
-    except (ValueError, OSError, OmegaConfBaseException) as error:
+    except (ValueError, OSError, HydraException, OmegaConfBaseException) as error:
         raise SystemExit(f"error: {_flat(str(error))}") from None
 
 

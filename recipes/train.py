@@ -18,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from torchrl.record import TensorboardLogger
 
 from recipes.learner import Learner, batch_metrics
-from recipes.one_line import check_keys, one_line_errors
+from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import show
 from zfall import checkpoint
 
@@ -38,7 +38,7 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_keys(cfg, KEYS)
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
-        check_keys(cfg.showcase, {"sizes", "starts", "video"}, "showcase.")
+        check_keys(cfg.showcase or {}, {"sizes", "starts", "video"}, "showcase.")
         folder = Path(HydraConfig.get().runtime.output_dir)
         state = None
         if cfg.resume is not None:
@@ -57,7 +57,8 @@ def main(cfg: DictConfig) -> None:
     if not train(learner, run, console):
         console.print(f"stopped; go on with: python -m recipes.train resume={folder}")
         raise SystemExit(130)
-    show(learner, untrained, folder, console)
+    if cfg.showcase:
+        show(learner, untrained, folder, console)
 
 
 def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictConfig:
@@ -222,4 +223,4 @@ def append_row(path: Path, row: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

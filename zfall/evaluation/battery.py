@@ -148,11 +148,12 @@ def run_battery(
         cfg: config of the env, as in ``recipes/env``.
         actor: the policy, run without exploration; ``None`` holds the reference pose.
         seed: of the battery.
-        num_envs: worlds that run together; rounded up to whole blocks.
+        num_envs: worlds that run together, at most; rounded up to whole blocks.
         servos: whether the servos act at all.
         progress: is told the number of control steps done and their total.
     """
-    worlds = BLOCK * max(1, -(-num_envs // BLOCK))
+    count = len(plan_trials(battery, 1.0, seed))
+    worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
     env, start, push = battery_env(battery, cfg, worlds, servos=servos)
     if actor is not None and any(key.startswith("recurrent") for key in actor.in_keys):
         env.append_transform(get_primers_from_module(actor))
