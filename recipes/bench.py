@@ -76,13 +76,13 @@ def bare_physics(
     """
     base = env.base_env
     model, data = base.simulation.model, mujoco.MjData(base.simulation.model)
-    states, controls = states.numpy(), controls.double().numpy()
+    state_rows, control_rows = states.numpy(), controls.double().numpy()
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
     done, began = 0, time.perf_counter()
     while time.perf_counter() - began < seconds:
         index = done * 31 % len(states)  # spreads over worlds and times
-        mujoco.mj_setState(model, data, states[index], spec)
-        data.ctrl[:] = controls[index]
+        mujoco.mj_setState(model, data, state_rows[index], spec)
+        data.ctrl[:] = control_rows[index]
         mujoco.mj_step(model, data, nstep=base.substeps)
         done += 1
     return len(os.sched_getaffinity(0)) * done / (time.perf_counter() - began)

@@ -14,7 +14,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from zfall.evaluation.battery import load_battery
-from zfall.modules.actors import normalizer_of
+from zfall.modules.actors import normalizer_of, recurrent_keys
 
 
 class Learner:
@@ -137,11 +137,6 @@ class Learner:
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]
-
-
-def recurrent_keys(module: torch.nn.Module) -> list[str]:
-    """Names of the hidden states that a module carries from step to step."""
-    return [key for key in module.in_keys if str(key).startswith("recurrent_state")]
 
 
 def batch_metrics(batch: TensorDictBase, control_dt: float) -> dict[str, float]:

@@ -34,9 +34,9 @@ def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
     Raises:
         ValueError: naming the key and the nearest known one.
     """
-    for key in cfg:
+    for key in map(str, cfg):
         if key not in known:
-            near = get_close_matches(str(key), known, n=1)
+            near = get_close_matches(key, known, n=1)
             hint = f"; did you mean {near[0]}?" if near else "."
             names = ", ".join(sorted(known))
             raise ValueError(f"{prefix}{key} is not a key of the config ({names}){hint}")

@@ -38,7 +38,7 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_keys(cfg, KEYS)
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
-        check_keys(cfg.showcase or {}, {"sizes", "starts", "video"}, "showcase.")
+        check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
         folder = Path(HydraConfig.get().runtime.output_dir)
         state = None
         if cfg.resume is not None:
@@ -76,7 +76,9 @@ def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictC
                 f"only {', '.join(free)} may change."
             )
     given = [item for item in overrides if not item.startswith("resume=")]
-    return OmegaConf.merge(OmegaConf.create(stored), OmegaConf.from_dotlist(given))
+    cfg = DictConfig(OmegaConf.create(stored))
+    cfg.merge_with_dotlist(given)
+    return cfg
 
 
 def train(learner: Learner, run: "RunFolder", console: Console) -> bool:

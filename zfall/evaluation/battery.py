@@ -21,6 +21,7 @@ from zfall.envs.make import make_env
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.metrics import Outcomes
+from zfall.modules.actors import recurrent_keys
 
 BLOCK = 64  # worlds in one call of a policy, always: a trial re-run alone is the same trial
 
@@ -97,8 +98,8 @@ def start_positions(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) ->
     """Joint angles at the start of each trial ``(len(trials), J)`` [rad]."""
     joints = len(env.stand_position)
     noise = [
-        np.random.default_rng(np.random.SeedSequence([row.seed, row.trial])).standard_normal(joints)
-        for row in trials.itertuples()
+        np.random.default_rng(np.random.SeedSequence([seed, trial])).standard_normal(joints)
+        for seed, trial in trials[["seed", "trial"]].to_numpy(dtype=int).tolist()
     ]
     low, high = env.joint_range.unbind(-1)
     angles = env.stand_position + battery.start_noise * torch.tensor(np.array(noise)).float()
@@ -155,7 +156,7 @@ def run_battery(
     count = len(plan_trials(battery, 1.0, seed))
     worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
     env, start, push = battery_env(battery, cfg, worlds, servos=servos)
-    if actor is not None and any(key.startswith("recurrent") for key in actor.in_keys):
+    if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     base = env.base_env
     trials = plan_trials(battery, base.robot.impulse_unit, seed)

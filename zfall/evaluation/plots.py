@@ -1,6 +1,7 @@
 """Plots of batteries and of training."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -33,7 +34,7 @@ def success_map(
     width = 2 * np.pi / len(directions)
     angles = np.concatenate([directions - width / 2, [directions[-1] + width / 2]])
     figure = Figure(figsize=(5.2, 5.0), layout="constrained")
-    axes = figure.add_subplot(projection="polar")
+    axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
     mesh = axes.pcolormesh(
         angles, edges, table.to_numpy().T, cmap="cividis", vmin=0, vmax=1, rasterized=True
@@ -63,7 +64,7 @@ def success_map(
     figure.savefig(path, dpi=160)
 
 
-def _draw_i50(axes, table: pd.DataFrame, color: str, style: str, label: str) -> None:  # type: ignore[no-untyped-def]
+def _draw_i50(axes: Any, table: pd.DataFrame, color: str, style: str, label: str) -> None:
     impulses = table.columns.to_numpy()
     i50 = np.array([largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()])
     angles = table.index.to_numpy()
@@ -94,7 +95,7 @@ def learning_curves(metrics: pd.DataFrame, path: Path) -> None:
     ):
         ax.plot(frames, metrics[key], lw=1, color="tab:blue")
         ax.set_ylabel(label)
-    for key in (k for k in metrics if k.startswith("reward/")):
+    for key in (str(k) for k in metrics if str(k).startswith("reward/")):
         axes[1, 1].plot(frames, metrics[key], lw=1, label=key.removeprefix("reward/"))
     axes[1, 1].set_ylabel("mean summand of the reward")
     axes[1, 1].legend(fontsize=7, ncols=2)

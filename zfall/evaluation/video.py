@@ -1,6 +1,7 @@
 """Films of trials: a policy beside the pose held by the servos."""
 
 from pathlib import Path
+from typing import Any
 
 import imageio.v2 as imageio
 import mujoco
@@ -58,6 +59,7 @@ def film(
     data = mujoco.MjData(model)
     header, gutter = _captions(list(rows), columns, tile)
     steps = len(forces)
+    writer: Any
     with imageio.get_writer(path, fps=1 / dt, macro_block_size=8, quality=7) as writer:
         for t in range(steps):
             lines = [header]

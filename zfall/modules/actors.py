@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -199,3 +200,9 @@ def _actor(
 def normalizer_of(module: nn.Module) -> ObservationNormalizer:
     """The observation normaliser inside an actor or a critic."""
     return next(part for part in module.modules() if isinstance(part, ObservationNormalizer))
+
+
+def recurrent_keys(module: nn.Module) -> list[str]:
+    """Names of the hidden states that an actor or a critic carries from step to step."""
+    keys: Any = module.in_keys
+    return [key for key in keys if str(key).startswith("recurrent_state")]

@@ -38,7 +38,7 @@ class MixtureOfGaussians(Distribution):
         return self._component_log_prob(value).logsumexp(-1).sum(-1)
 
     @torch.no_grad()
-    def sample(self, sample_shape: torch.Size = torch.Size()) -> Tensor:
+    def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
         """Draws ``(*sample_shape, *B, J)``; the component by the Gumbel-max trick."""
         shape = torch.Size(sample_shape) + self.loc.shape
         gumbel = -torch.empty(shape, device=self.loc.device).exponential_().log()

@@ -4,6 +4,7 @@ import math
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
@@ -26,6 +27,9 @@ class JointPositionTarget(Transform):
     Raises:
         ValueError: if ``scale`` is not positive.
     """
+
+    reference: Tensor
+    range: Tensor
 
     def __init__(self, env: HumanoidEnv, *, scale: float):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["action"])
@@ -77,6 +81,11 @@ class ActuatorDelay(Transform):
     Raises:
         ValueError: if the delays are not in order within [0, max_delay].
     """
+
+    history: Tensor
+    lag: Tensor
+    substep: Tensor
+    reference: Tensor
 
     def __init__(self, env: HumanoidEnv, *, delay: tuple[float, float], max_delay: float = 0.1):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["target"])

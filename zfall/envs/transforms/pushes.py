@@ -37,6 +37,10 @@ class _Push(Transform):
     ``("push", "force")`` ``(N, 3)``, the mean force over the step just taken [N; world].
     """
 
+    begin: Tensor
+    start: Tensor
+    force: Tensor
+
     def __init__(self, env: HumanoidEnv, point: str, duration: float):
         super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
         if point not in env.push_targets:
@@ -143,8 +147,8 @@ class RandomPush(_Push):
     def _draw(self, rows: Tensor, rest_from: Tensor) -> None:
         """Plans the next push of the worlds in ``rows``, resting since ``rest_from`` [s]."""
         wait, strength, turn = torch.rand(3, len(rows), generator=self.rng)
-        wait = torch.lerp(*torch.tensor(self.interval), wait)
-        strength = torch.lerp(*torch.tensor(self.strength), strength)
+        wait = self.interval[0] + (self.interval[1] - self.interval[0]) * wait
+        strength = self.strength[0] + (self.strength[1] - self.strength[0]) * strength
         heading = 2 * math.pi * turn
         force = torch.stack([heading.cos(), heading.sin(), torch.zeros_like(turn)], -1)
         self.start = torch.where(rows, (rest_from + wait).clamp_min(0.0), self.start)
