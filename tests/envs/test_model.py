@@ -28,7 +28,7 @@ def test_push_points_lie_where_they_are_said_to_lie(point, height):
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    spot = data.body(f"push_point/{point}").xpos
+    spot = data.body(f"push_point/{point}").xipos  # where MuJoCo applies forces
     base = data.body("floating_base_link").xpos
     offset = {"torso": None, "pelvis": -0.089, "chest": 0.026}[point]
     if height is not None:
@@ -42,7 +42,7 @@ def test_elbow_push_point_is_the_left_elbow_joint():
     model = compile_model(ZEROTH01, physics_dt=0.004)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    spot = data.body("push_point/elbow").xpos
+    spot = data.body("push_point/elbow").xipos
     np.testing.assert_allclose(spot, data.joint("left_elbow_roll").xanchor, atol=1e-9)
 
 

@@ -41,7 +41,14 @@ def trials() -> pd.DataFrame:
         (1.5, 0.0): 3,
     }
     rows = [
-        {"direction_rad": direction, "impulse": impulse, "recovered": i < good, "seed": 7}
+        {
+            "direction_rad": direction,
+            "impulse": impulse,
+            "recovered": i < good,
+            "fell": i >= good,
+            "force_n": 49.2 * impulse,
+            "seed": 7,
+        }
         for (direction, impulse), good in outcomes.items()
         for i in range(4)
     ]

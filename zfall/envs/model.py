@@ -41,7 +41,9 @@ def compile_model(
                 f"push_points.{name}: body must be one of {', '.join(links)}, got {point.body!r}."
             )
         offset = _in_link_axes(plain, point)
-        spec.body(point.body).add_body(name=_POINT + name, pos=offset)
+        body = spec.body(point.body).add_body(name=_POINT + name, pos=offset)
+        # Forces act at the inertial frame: MuJoCo would put that of a body without mass elsewhere.
+        body.explicitinertial, body.mass, body.ipos = True, 0.0, [0.0, 0.0, 0.0]
     model = spec.compile()
     if not servos:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION

@@ -107,6 +107,9 @@ def test_push_off_the_center_of_mass_gives_the_angular_momentum_of_its_lever(mak
     env = pushed(make_task, push, kind=ScriptedPush, num_envs=1, control_dt=0.02, physics_dt=0.001)
     base = env.base_env
     base.simulation.model.opt.gravity[:] = 0
+    base.simulation.model.dof_damping[6:] = (
+        1e4  # one rigid body: armature holds momentum of its own
+    )
     td = env.reset()
     base.simulation.qpos[:, 2] = 2.0
     for _ in range(3):
@@ -178,7 +181,7 @@ def test_two_pushes_add_up(make_task):
     env = make_task(
         {**ACTION, "a": (RandomPush, first), "b": (RandomPush, first | {"point": "Left_Foot"})}
     )
-    total = wrenches(env, 0.3)[..., :3].norm(dim=-1).sum((1, 2)) * 0.004
+    total = wrenches(env, 0.28)[..., :3].norm(dim=-1).sum((1, 2)) * 0.004
     assert_close(total, torch.full((4,), 0.6), rtol=1e-4, atol=0)
 
 
