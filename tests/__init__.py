@@ -1,0 +1,3 @@
+"""Tests of zfall, which comes first: it picks an OpenGL before TorchRL imports MuJoCo."""
+
+import zfall  # noqa: F401

@@ -35,8 +35,8 @@ def test_policy_has_not_moved_between_collecting_and_learning(learner):
 def test_advantages_are_those_of_a_plain_loop(compose_config):
     """delta = r + gamma V(next) (0 if terminated); summed backwards with gamma lambda until done."""
     learner = Learner(
-        compose_config("num_envs=8", "rollout_steps=12", "actor.std=1.0", "env.transforms.limit.seconds=0.24",
-                       "env.transforms.terminations.conditions.tilt.angle=0.02")
+        compose_config("num_envs=8", "rollout_steps=12", "actor.std=1.0", "env.transforms.limit.seconds=0.12",
+                       "env.transforms.terminations.conditions.tilt.angle=0.1")
     )  # fmt: skip
     batch = learner.collect()
     assert batch["next", "terminated"].any()

@@ -9,7 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-INSTALL = "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6, with MUJOCO_GL=osmesa)"
+INSTALL = (
+    "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6), and set MUJOCO_GL=egl (or osmesa)"
+)
 
 
 def make_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
