@@ -1,3 +1,6 @@
-"""Programs started from the shell. zfall comes first: it picks an OpenGL before TorchRL imports MuJoCo."""
+"""Programs started from the shell.
+
+zfall comes first: it picks an OpenGL before TorchRL imports MuJoCo.
+"""
 
 import zfall  # noqa: F401
