@@ -7,6 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 
 from zfall.evaluation.statistics import largest_withstood, success_table
 
@@ -32,16 +33,24 @@ def success_map(
     step = np.diff(impulses).min() if len(impulses) > 1 else impulses[0]
     edges = np.concatenate([[impulses[0] - step / 2], impulses + step / 2])
     width = 2 * np.pi / len(directions)
-    angles = np.concatenate([directions - width / 2, [directions[-1] + width / 2]])
+    arc = 12  # straight pieces that make up the arc of a cell
+    pieces = width * (np.arange(len(directions) * arc + 1) / arc - 0.5)
+    angles = directions[0] + pieces
     figure = Figure(figsize=(5.2, 5.0), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
     mesh = axes.pcolormesh(
-        angles, edges, table.to_numpy().T, cmap="cividis", vmin=0, vmax=1, rasterized=True
+        angles,
+        edges,
+        np.repeat(table.to_numpy().T, arc, axis=1),
+        cmap="cividis",
+        vmin=0,
+        vmax=1,
+        rasterized=True,
     )
-    _draw_i50(axes, table, "white", "-", "I50")
+    _draw_i50(axes, table, "-", "I50")
     if baseline is not None:
-        _draw_i50(axes, success_table(baseline), "white", ":", "I50 of pose_hold")
+        _draw_i50(axes, success_table(baseline), ":", "I50 of pose_hold")
     axes.set_ylim(0, edges[-1])
     axes.grid(False)
     axes.set_thetagrids(
@@ -64,7 +73,8 @@ def success_map(
     figure.savefig(path, dpi=160)
 
 
-def _draw_i50(axes: Any, table: pd.DataFrame, color: str, style: str, label: str) -> None:
+def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
+    """Adds a white line with a dark rim, to be seen on either end of the color map."""
     impulses = table.columns.to_numpy()
     i50 = np.array([largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()])
     angles = table.index.to_numpy()
@@ -72,9 +82,10 @@ def _draw_i50(axes: Any, table: pd.DataFrame, color: str, style: str, label: str
         np.append(angles, angles[0]),
         np.append(i50, i50[0]),
         style,
-        color=color,
+        color="white",
         lw=1.8,
         label=label,
+        path_effects=[Stroke(linewidth=4, foreground="black"), Normal()],
     )
 
 
