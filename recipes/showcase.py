@@ -60,7 +60,8 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
             video(battery, cfg.env, actor, folder / "video.mp4", console)
     console.print(f"run folder: {folder}")
     console.print("  metrics.csv, timing.csv, tensorboard/, checkpoints/{last,best}.pt")
-    console.print("  plots/learning_curves.png, plots/planar.png, video.mp4, summary.json")
+    film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
+    console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
     console.print(f"next: python -m recipes.evaluate run={folder} battery=planar")
 
 

@@ -1,0 +1,49 @@
+"""Named quantities from made-up sensor values, by hand."""
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from zfall.envs.model import sensor_slices
+
+
+@pytest.fixture()
+def read(make_base):
+    """Quantities of one world from sensor values set by name, zero elsewhere."""
+    env = make_base(num_envs=1)
+    slices = sensor_slices(env.simulation.model)
+
+    def build(steps: dict[int, dict[str, list[float]]]):
+        values = torch.zeros(1, env.substeps, env.simulation.model.nsensordata, dtype=torch.float64)
+        for step, sensors in steps.items():
+            for name, value in sensors.items():
+                values[0, step, slices[name]] = torch.tensor(value, dtype=torch.float64)
+        return env, env._quantities(env.simulation.qpos, env.simulation.qvel, values)[0]
+
+    return build
+
+
+def test_peak_force_adds_the_parts_of_a_region_as_vectors_and_keeps_the_largest_step(read):
+    """3 N and 4 N at right angles are 5 N; the same forces in two steps are no 5 N."""
+    trunk, hip = "contact_force_peak/torso/trunk", "contact_force_peak/torso/left_hip_servo"
+    env, td = read({2: {trunk: [3.0, 0, 0], hip: [0, 4.0, 0]}, 5: {trunk: [4.5, 0, 0]}})
+    expected = torch.zeros(14)
+    expected[env.regions.index("torso")] = 5.0
+    assert_close(td["contact_force_peak"], expected)
+    env, td = read({2: {trunk: [3.0, 0, 0]}, 5: {hip: [0, 4.0, 0]}})
+    assert td["contact_force_peak"].max().item() == 4.0
+
+
+def test_acceleration_is_the_mean_and_its_peak_the_largest_norm(read):
+    _, td = read(
+        {0: {"base_acceleration": [10.0, 0, 0]}, 9: {"base_acceleration": [0, -30.0, 40.0]}}
+    )
+    assert_close(td["base_acceleration"], torch.tensor([1.0, -3.0, 4.0]))  # over ten steps
+    assert td["base_acceleration_peak"].item() == 50.0
+
+
+def test_force_on_a_foot_is_the_reaction_of_the_last_step(read):
+    contact = [1.0, 0.0, 0.0, -16.0, 0.0, 0.0, 0.0]
+    _, td = read({9: {"feet_contact/right": contact}, 3: {"feet_contact/left": contact}})
+    assert_close(td["feet_force"], torch.tensor([[0.0, 0, 0], [0, 0, 16.0]]))
+    assert td["feet_contact"].tolist() == [False, True]
