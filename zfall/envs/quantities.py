@@ -43,10 +43,15 @@ class Quantities:
         self._contact = columns(*(f"feet_contact/{foot}" for foot in robot.feet))
         corners = (f"{foot}/{corner}" for foot in robot.feet for corner in robot.corners)
         self._corners = columns(*(f"feet_corner_force/{corner}" for corner in corners))[:, 2]
-        named = [(r, s) for r in robot.regions for s in sensors if name_in_region(s, r)]
-        self._region_force = columns(*(sensor for _, sensor in named))
-        self._region = torch.tensor([robot.regions.index(region) for region, _ in named])
-        self._num_regions = len(robot.regions)
+        # Forces on the parts of a region add up: x of all regions, then y, then z.
+        num = len(robot.regions)
+        regions = enumerate(robot.regions)
+        named = [(i, name) for i, r in regions for name in sensors if name_in_region(name, r)]
+        forces = columns(*(sensor for _, sensor in named))
+        self._forces = slice(int(forces.min()), int(forces.max()) + 1)
+        self._region = torch.zeros(self._forces.stop - self._forces.start, 3 * num)
+        for (index, _), places in zip(named, forces - self._forces.start, strict=True):
+            self._region[places, torch.arange(3) * num + index] = 1.0
 
     def __call__(self, qpos: Tensor, qvel: Tensor, sensors: Tensor) -> TensorDict:
         """Quantities ``(K, ...)`` float32 of K worlds.
@@ -57,17 +62,17 @@ class Quantities:
         """
         qpos, qvel, values = qpos.float(), qvel.float(), sensors.float()
         last, orientation = values[:, -1], qpos[:, 3:7].contiguous()
-        acceleration = values[..., self._acceleration]
+        mean, acceleration = values.mean(1), values[..., self._acceleration]
         out = {
             "joint_position": qpos[:, self.qpos_index],
             "joint_velocity": qvel[:, self.qvel_index],
-            "joint_torque": values[..., self._torque].mean(1),
+            "joint_torque": mean[:, self._torque],
             "base_position": qpos[:, :3].contiguous(),
             "base_orientation": orientation,
             "projected_gravity": -up_axis(orientation),
             "base_linear_velocity": qvel[:, :3].contiguous(),
             "base_angular_velocity": qvel[:, 3:6].contiguous(),
-            "base_acceleration": acceleration.mean(1),
+            "base_acceleration": mean[:, self._acceleration],
             "base_acceleration_peak": acceleration.norm(dim=-1).amax(1, keepdim=True),
             "contact_force_peak": self._peak_force(values),
         }
@@ -95,6 +100,5 @@ class Quantities:
 
     def _peak_force(self, values: Tensor) -> Tensor:
         """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
-        parts = values[..., self._region_force]  # (K, S, sensors, 3)
-        total = parts.new_zeros(*parts.shape[:2], self._num_regions, 3)
-        return total.index_add_(2, self._region, parts).norm(dim=-1).amax(1)
+        x, y, z = (values[..., self._forces] @ self._region).chunk(3, -1)
+        return (x.square() + y.square() + z.square()).amax(1).sqrt()

@@ -16,8 +16,9 @@ _BOUND = 1e6
 
 
 def _largest(values: Tensor) -> Tensor:
-    """Largest absolute value of each world ``(N,)``."""
-    return torch.linalg.vector_norm(values, ord=float("inf"), dim=(1, 2))
+    """Largest absolute value of each world ``(N,)``, not a number if one is not."""
+    flat = values.flatten(1)
+    return torch.maximum(flat.amax(1), -flat.amin(1))
 
 
 class Simulation:
