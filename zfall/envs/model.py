@@ -1,10 +1,27 @@
 """From a robot's MJCF to the compiled model that an env steps."""
 
+from dataclasses import dataclass
+
 import mujoco
+import numpy as np
 
 from zfall.envs.robots import PushPoint, Robot
 
 _POINT = "push_point/"  # prefix of the massless bodies that stand for push points
+_PARKED = (50.0, 0.0)  # where a ball waits on the floor, out of reach [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ball:
+    """A free ball beside the robot, for ``ThrownBall``.
+
+    Args:
+        mass: [kg].
+        radius: [m].
+    """
+
+    mass: float
+    radius: float
 
 
 def compile_model(
@@ -12,6 +29,7 @@ def compile_model(
     *,
     physics_dt: float,
     push_points: dict[str, PushPoint] | None = None,
+    ball: Ball | None = None,
     servos: bool = True,
 ) -> mujoco.MjModel:
     """Compiles the robot's MJCF with a massless body welded to each push point.
@@ -24,6 +42,7 @@ def compile_model(
         robot: the robot.
         physics_dt: timestep [s].
         push_points: points besides those of the robot, by name.
+        ball: a free ball beside the robot, parked out of reach.
         servos: whether the actuators act at all; without them the robot is limp.
 
     Raises:
@@ -44,6 +63,8 @@ def compile_model(
         body = spec.body(point.body).add_body(name=_POINT + name, pos=offset)
         # Forces act at the inertial frame: MuJoCo would put that of a body without mass elsewhere.
         body.explicitinertial, body.mass, body.ipos = True, 0.0, [0.0, 0.0, 0.0]
+    if ball is not None:
+        _add_ball(spec, ball)
     model = spec.compile()
     if not servos:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -57,12 +78,39 @@ def push_targets(model: mujoco.MjModel) -> dict[str, int]:
     return points | {name: i for i, name in enumerate(names) if _POINT not in name}
 
 
+def push_point_bodies(model: mujoco.MjModel) -> dict[str, int]:
+    """Index of the massless body of every push point, by name."""
+    names = [model.body(i).name for i in range(model.nbody)]
+    return {name.removeprefix(_POINT): i for i, name in enumerate(names) if _POINT in name}
+
+
 def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
     """Where each sensor's values lie in ``sensordata``, by name."""
     return {
         model.sensor(i).name: slice(adr, adr + dim)
         for i, (adr, dim) in enumerate(zip(model.sensor_adr, model.sensor_dim, strict=True))
     }
+
+
+def _add_ball(spec: mujoco.MjSpec, ball: Ball) -> None:
+    """Adds the ball after the robot, so that the robot's indices stay; raises ``ValueError``."""
+    for name, value in (("mass", ball.mass), ("radius", ball.radius)):
+        if not value > 0:
+            raise ValueError(f"ball.{name} must be positive, got {value}.")
+    place = [*_PARKED, ball.radius]
+    body = spec.worldbody.add_body(name="ball", pos=place)
+    body.add_freejoint(name="ball")
+    body.add_geom(
+        name="ball",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[ball.radius, 0.0, 0.0],
+        mass=ball.mass,
+        contype=1,  # it meets the floor and every part of the robot
+        conaffinity=1,
+        rgba=[0.9, 0.35, 0.2, 1.0],
+    )
+    for key in spec.keys:
+        key.qpos = np.concatenate([key.qpos, place, [1.0, 0.0, 0.0, 0.0]])
 
 
 def _in_link_axes(model: mujoco.MjModel, point: PushPoint) -> list[float]:

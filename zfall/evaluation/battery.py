@@ -167,7 +167,7 @@ def run_battery(
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
         start.states["joint_position"] = start_positions(battery, padded, base)
-        push.plan = push_forces(padded)
+        push.plan = push_forces(padded)[:, None]
         outcomes = Outcomes(base, battery)
         for step, td in enumerate(play(env, actor, steps)):
             outcomes.update(td)

@@ -168,11 +168,11 @@ def test_partial_reset_redraws_only_its_rows(make_task):
         make_task, {"force": (1.0, 9.0), "duration": 0.1, "interval": (1.0, 2.0)}, num_envs=8
     )
     td = env.reset()
-    before = env.transform[0].force.clone()
+    before = env.transform[0].force_now.clone()
     rows = torch.arange(8)[:, None] < 3
     td["_reset"] = rows
     env.reset(td)
-    changed = (env.transform[0].force != before).any(-1)
+    changed = (env.transform[0].force_now != before).any(-1)
     assert changed.tolist() == rows.squeeze().tolist()
 
 
@@ -185,12 +185,63 @@ def test_two_pushes_add_up(make_task):
     assert_close(total, torch.full((4,), 0.6), rtol=1e-4, atol=0)
 
 
+def test_pushes_begin_at_the_times_given_and_keep_their_size(make_task):
+    push = {"times": [0.05, 0.33, 0.71], "impulse": (0.6, 0.6), "duration": 0.1}
+    env = pushed(make_task, push | {"direction": [0, 1, 0]})
+    force = wrenches(env, 1.0)[:, :, env.base_env.push_targets["torso"], 1]
+    for start in (0.05, 0.33, 0.71):
+        steps = slice(round(start / 0.004) - 3, round((start + 0.1) / 0.004) + 3)
+        assert_close(0.004 * force[:, steps].sum(1), torch.full((4,), 0.6), rtol=1e-4, atol=0)
+        first = (force[0] > 0).nonzero()[:, 0] * 0.004
+        assert (first[first > start - 0.03][0] - start).abs() < 0.0041
+    assert_close(0.004 * force.sum(1), torch.full((4,), 1.8), rtol=1e-4, atol=0)
+
+
+@pytest.mark.parametrize("profile", ["half_sine", "gaussian", "ramp"])
+def test_every_profile_gives_the_impulse_asked(make_task, profile):
+    push = {"impulse": (1.5, 1.5), "duration": 0.13, "times": [0.1], "profile": profile}
+    total = wrenches(pushed(make_task, push, control_dt=0.02), 0.4).sum((1, 2)) * 0.004
+    assert_close(total[:, :3].norm(dim=-1), torch.full((4,), 1.5), rtol=1e-5, atol=0)
+
+
+def test_each_axis_has_a_range_of_its_own(make_task):
+    axes = {"x": [-20, 20], "z": [5, 5]}
+    env = pushed(make_task, {"axes": axes, "duration": 0.1, "times": [0.0]}, num_envs=128)
+    force = wrenches(env, 0.08)[:, 5, env.base_env.push_targets["torso"], :3]
+    assert force[:, 0].amin() < -15
+    assert force[:, 0].amax() > 15
+    assert force[:, 0].abs().amax() <= 20
+    assert force[:, 1].abs().amax() == 0
+    assert_close(force[:, 2], torch.full((128,), 5.0), rtol=1e-5, atol=0)
+
+
+def test_a_push_takes_one_of_several_points(make_task):
+    push = {"point": ["torso", "pelvis", "chest"], "force": (6.0, 6.0), "times": [0.0]}
+    env = pushed(make_task, push | {"duration": 0.1}, num_envs=90)
+    wrench = wrenches(env, 0.2)[..., :3].norm(dim=-1).sum(1) * 0.004
+    targets = [env.base_env.push_targets[p] for p in ("torso", "pelvis", "chest")]
+    acting = wrench[:, targets] > 0
+    assert (acting.sum(1) == 1).all()
+    assert_close(wrench.sum(1), torch.full((90,), 0.6), rtol=1e-4, atol=0)
+    assert acting.sum(0).min() > 30 - 5 * (90 * 2 / 9) ** 0.5  # five sigma
+
+
+def test_mean_time_from_push_to_push_is_the_one_asked(make_task):
+    push = {"force": (1.0, 1.0), "duration": 0.1, "mean_interval": 0.5}
+    env = pushed(make_task, push, num_envs=64)
+    active = wrenches(env, 6.0)[..., :3].abs().amax((2, 3)) > 0
+    count = (active.int().diff(dim=1) == 1).sum().item()
+    expected = 64 * 6.0 / 0.5
+    # Exponential rests of 0.4 s, of which what falls into a running control step waits for its end.
+    assert count == pytest.approx(expected, rel=0.1)
+
+
 @pytest.mark.parametrize(("values", "message"), [
     ({"point": "tail"}, r"point must be a push point or a link, one of elbow, torso, pelvis.*got 'tail'"),
-    ({"duration": 0.0}, "duration must be positive, got 0"),
+    ({"duration": 0.0}, r"duration must be positive, got \[0.0, 0.0\]"),
     ({"interval": (2.0, 1.0)}, r"interval must be \[smallest, largest\], got \[2.0, 1.0\]"),
-    ({"size": (0.1, 0.2)}, "give just one of force, impulse and size, got force, size"),
-    ({"force": None}, "give just one of force, impulse and size, got none"),
+    ({"size": (0.1, 0.2)}, "give just one of force, impulse, size, axes, got force, size"),
+    ({"force": None}, "give just one of force, impulse, size, axes, got none"),
 ])  # fmt: skip
 def test_bad_values_are_refused(make_base, values, message):
     good = {"point": "torso", "force": (1.0, 2.0), "duration": 0.1, "interval": (1.0, 2.0)}

@@ -1,0 +1,60 @@
+"""Headings and times against the distributions they should have."""
+
+import pytest
+import torch
+from scipy.stats import expon, kstest, uniform
+
+from zfall.envs.transforms.pushes.draws import Timing, between, heading
+
+
+def test_spherical_headings_are_uniform_in_every_coordinate():
+    """On a sphere each coordinate is uniform on [-1, 1] (Archimedes)."""
+    vectors = heading("spherical", torch.rand(2, 4000))
+    assert torch.allclose(vectors.norm(dim=-1), torch.ones(4000), atol=1e-6)
+    for axis in range(3):
+        assert kstest(vectors[:, axis].numpy(), uniform(-1, 2).cdf).pvalue > 1e-3
+
+
+def test_planar_headings_are_level_and_cover_the_circle():
+    vectors = heading("planar", torch.rand(2, 4000))
+    assert vectors[:, 2].abs().max() == 0
+    angle = torch.atan2(vectors[:, 1], vectors[:, 0]).numpy()
+    assert kstest(angle, uniform(-torch.pi, 2 * torch.pi).cdf).pvalue > 1e-3
+
+
+def test_a_fixed_heading_is_a_unit_vector():
+    assert (
+        heading([0, 3, 4], torch.rand(2, 2)).tolist()
+        == [[0, 0.6000000238418579, 0.800000011920929]] * 2
+    )
+
+
+def test_exponential_rests_make_the_mean_time_from_push_to_push():
+    timing = Timing(None, 3.0, None, longest=0.5, control_dt=0.04)
+    zero = torch.zeros(4000, dtype=torch.float64)
+    rests = timing.next(torch.rand(4000), zero, zero, zero.long())
+    assert kstest(rests.numpy(), expon(scale=2.5).cdf).pvalue > 1e-3  # 3 s less the push itself
+
+
+def test_bounds_may_differ_from_world_to_world():
+    bounds = torch.tensor([[0.0, 1.0], [2.0, 1.5]])
+    assert between(bounds, torch.tensor([0.5, 0.5])).tolist() == [1.0, 1.25]
+
+
+@pytest.mark.parametrize(("values", "message"), [
+    ((None, None, None), "give just one of interval, mean_interval, times, got none"),
+    (([1, 2], 3.0, None), "got interval, mean_interval"),
+    (([2, 1], None, None), r"interval must be \[smallest, largest\], got \[2, 1\]"),
+    ((None, 0.1, None), r"mean_interval must be longer than a push \(0.2\), got 0.1"),
+    ((None, None, [1.0, 1.1]), r"times must grow from 0 on by at least .*\(0.24\), got \[1.0, 1.1\]"),
+    ((None, None, []), "times must grow"),
+])  # fmt: skip
+def test_bad_timings_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        Timing(*values, longest=0.2, control_dt=0.04)
+
+
+@pytest.mark.parametrize("direction", ["up", [0, 0, 0], [1, 0]])
+def test_bad_directions_are_refused(direction):
+    with pytest.raises(ValueError, match="direction must be planar, spherical or a vector"):
+        heading(direction, torch.rand(2, 1))

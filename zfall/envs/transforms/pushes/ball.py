@@ -1,0 +1,115 @@
+"""A ball thrown at the robot."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.robots import GRAVITY
+from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
+from zfall.envs.transforms.starts import reset_rows
+
+
+class ThrownBall(Transform):
+    """Throws the env's ball at the robot, at random times and from random sides.
+
+    The ball flies freely: it starts at a distance, level with its aim, with the velocity that
+    carries it there in a parabola. What it does to the robot is left to the contact.
+
+    Keys: writes ``("ball", "launch")`` ``(N, 1)`` bool and ``("ball", "start")`` ``(N, 6)``,
+    position [m] and velocity [m/s; world], which the base env puts the ball into before the step,
+    both as observations too. Reads ``com_position`` [m].
+
+    Args:
+        env: the base env, built with a ``ball``.
+        speed: smallest and largest level speed [m/s].
+        distance: from the center of mass to the launch [m].
+        aim: lowest and highest point aimed at, above the center of mass [m].
+        interval, mean_interval, times: as in ``RandomPush``; a throw begins with a control step.
+
+    Raises:
+        ValueError: if the env has no ball, on a bad range, or not just one timing.
+    """
+
+    start: Tensor
+    plan: Tensor
+    count: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        speed: Sequence[float],
+        distance: float = 1.0,
+        aim: Sequence[float] = (0.0, 0.1),
+        interval: Sequence[float] | None = None,
+        mean_interval: float | None = None,
+        times: Sequence[float] | None = None,
+    ):
+        keys = [("ball", "launch"), ("ball", "start")]
+        super().__init__(in_keys_inv=keys, out_keys_inv=keys)
+        if env.ball is None:
+            raise ValueError(
+                "ThrownBall must have a ball to throw: give base_env.ball, for instance "
+                "{_target_: zfall.envs.model.Ball, mass: 0.2, radius: 0.04}; got none."
+            )
+        check_range("speed", list(speed), positive=True)
+        check_range("aim", list(aim), negative=True)
+        if not distance > 0:
+            raise ValueError(f"distance must be positive, got {distance}.")
+        self.timing = Timing(interval, mean_interval, times, longest=0.0, control_dt=env.control_dt)
+        self.speed, self.distance, self.aim, self.rng = speed, distance, aim, env.rng
+        self.control_dt, num = env.control_dt, env.num_envs
+        self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
+        self.register_buffer("plan", torch.zeros(num, 5))  # from where (3), speed, aim
+        self.register_buffer("count", torch.zeros(num, dtype=torch.long))
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        due = self.start < self.control_dt - 1e-9
+        side, speed, aim = self.plan[:, :3], self.plan[:, 3:4], self.plan[:, 4]
+        target = tensordict["com_position"].clone()
+        target[:, 2] += aim
+        position = target + self.distance * side
+        velocity = -speed * side
+        velocity[:, 2] += 0.5 * GRAVITY * self.distance / speed[:, 0]  # level at half the flight
+        tensordict["ball", "launch"] = due[:, None]
+        tensordict["ball", "start"] = torch.cat([position, velocity], -1)
+        begun = self.start - self.control_dt
+        self.start, self.count = begun, self.count + due
+        self._draw(due, begun)
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key in (("ball", "launch"), ("ball", "start")):
+            next_tensordict[key] = tensordict[key]
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        self.count = torch.where(rows, 0, self.count)
+        self._draw(rows, torch.zeros_like(self.start))
+        tensordict_reset["ball", "launch"] = torch.zeros(len(rows), 1, dtype=torch.bool)
+        tensordict_reset["ball", "start"] = torch.zeros(len(rows), 6)
+        return tensordict_reset
+
+    def _draw(self, rows: Tensor, last: Tensor) -> None:
+        """Plans the next throw of the worlds in ``rows``, whose last one began at ``last``."""
+        u = torch.rand(4, len(rows), generator=self.rng)
+        start = self.timing.next(u[0], last, last, self.count).clamp_min(0.0)
+        speed, aim = between(self.speed, u[1]), between(self.aim, u[2])
+        side = heading("planar", u[3:].expand(2, -1))
+        plan = torch.cat([side, speed[:, None], aim[:, None]], -1)
+        self.start = torch.where(rows, start, self.start)
+        self.plan = torch.where(rows[:, None], plan, self.plan)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        num = len(self.start)
+        observation_spec["ball", "launch"] = Binary(1, shape=(num, 1), dtype=torch.bool)
+        observation_spec["ball", "start"] = Unbounded((num, 6))
+        return observation_spec

@@ -1,0 +1,111 @@
+"""From a plan of pushes to the wrench on the bodies; what random and scripted pushes share."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.pushes.profiles import find_profile, force_share
+
+_MEASURES = ("peak_force", "impulse", "size")
+
+
+class PushForces:
+    """Forces on push points, E per world, integrated over physics steps.
+
+    Args:
+        env: the base env.
+        points: names of push points or links.
+        profile: how a force goes over the duration.
+
+    Raises:
+        ValueError: on a point that does not exist.
+    """
+
+    def __init__(self, env: HumanoidEnv, points: Sequence[str], profile: str):
+        for point in points:
+            if point not in env.push_targets:
+                raise ValueError(
+                    f"point must be a push point or a link, one of "
+                    f"{', '.join(env.push_targets)}; got {point!r}."
+                )
+        if not points:
+            raise ValueError("point must name at least one push point, got none.")
+        self.bodies = torch.tensor([env.push_targets[point] for point in points])
+        self.profile = find_profile(profile)
+        self.physics_dt, self.shape = env.physics_dt, (env.num_envs,)
+        self.begin = env.physics_dt * torch.arange(env.substeps, dtype=torch.float64)
+        self.impulse_unit = env.robot.impulse_unit
+        self._zero_wrench = env.zero_wrench
+        self._worlds = torch.arange(env.num_envs)[:, None]
+        self._steps = torch.arange(env.substeps)
+
+    def apply(
+        self,
+        tensordict: TensorDictBase,
+        start: Tensor,
+        duration: Tensor,
+        force: Tensor,
+        body: Tensor,
+    ) -> None:
+        """Adds the coming control step's share of the pushes to the TensorDict.
+
+        Args:
+            tensordict: of the step; ``("push", "wrench")`` and the measures are added to.
+            start: begin of the pushes ``(N, E)`` [s from now], float64: times add up over episodes.
+            duration: their length ``(N, E)`` [s].
+            force: their peak force ``(N, E, 3)`` [N; world].
+            body: index of the point each acts at ``(N, E)``, into ``points``.
+        """
+        share = force_share(self.begin, self.physics_dt, start, duration, self.profile)
+        wrench = tensordict.get(("push", "wrench"), None)
+        fresh = wrench is None  # the measures of the last step are still there: begin anew
+        if wrench is None:
+            wrench = self._zero_wrench()
+        if len(self.bodies) == 1:
+            act = torch.einsum("nes,nec->nsc", share, force)
+            wrench[:, :, int(self.bodies), :3] += act
+        else:
+            act = torch.zeros(*share.shape[::2], 3)
+            for event in range(share.shape[1]):
+                target = self.bodies[body[:, event]][:, None]
+                part = share[:, event, :, None] * force[:, event, None]
+                wrench[self._worlds, self._steps, target, :3] += part
+                act += part
+        tensordict["push", "wrench"] = wrench
+        peak = force.norm(dim=-1) * (share > 1e-6).any(-1)
+        impulse = self.profile.mean * (peak * duration).amax(1, keepdim=True).float()
+        now = {
+            "force": act.mean(1),
+            "peak_force": peak.amax(1, keepdim=True),
+            "impulse": impulse,
+            "size": impulse / self.impulse_unit,
+        }
+        for key, value in now.items():
+            if not fresh:
+                before = tensordict["push", key]
+                value = before + value if key == "force" else torch.maximum(before, value)
+            tensordict["push", key] = value
+
+    def keys(self) -> dict[tuple[str, str], tuple[int, int]]:
+        """Keys that observe the pushes, and their shapes."""
+        shapes = {("push", "force"): (*self.shape, 3)}
+        return shapes | {("push", key): (*self.shape, 1) for key in _MEASURES}
+
+    def observe(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        """Copies what acted in a step to its outcome."""
+        for key in self.keys():
+            next_tensordict[key] = tensordict[key]
+
+    def clear(self, tensordict: TensorDictBase) -> None:
+        """Writes that nothing acted yet."""
+        for key, shape in self.keys().items():
+            tensordict[key] = torch.zeros(shape)
+
+    def specify(self, observation_spec: Composite) -> None:
+        """Declares the keys."""
+        for key, shape in self.keys().items():
+            observation_spec[key] = Unbounded(shape)

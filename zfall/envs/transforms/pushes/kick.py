@@ -1,0 +1,90 @@
+"""A jump of the base's velocity, for comparison with others."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
+from zfall.envs.transforms.starts import reset_rows
+
+
+class VelocityKick(Transform):
+    """Changes the base's velocity at once, which no force does: what other frameworks call a push.
+
+    The whole robot moves on with the base, joints as they were, so the momentum gained is about
+    mass x kick. Kept for comparison; ``RandomPush`` is the honest disturbance.
+
+    Keys: adds to ``("push", "velocity_kick")`` ``(N, 3)`` [m/s; world], which the base env adds
+    to the base's velocity before the coming step, and writes it as an observation of that step.
+
+    Args:
+        env: the base env.
+        velocity: smallest and largest change of speed [m/s].
+        interval, mean_interval, times, direction: as in ``RandomPush``; a kick comes at the
+            beginning of the control step in which it is due.
+
+    Raises:
+        ValueError: as ``RandomPush``.
+    """
+
+    start: Tensor
+    kick: Tensor
+    count: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        velocity: Sequence[float],
+        interval: Sequence[float] | None = None,
+        mean_interval: float | None = None,
+        times: Sequence[float] | None = None,
+        direction: str | Sequence[float] = "planar",
+    ):
+        key = ("push", "velocity_kick")
+        super().__init__(in_keys_inv=[key], out_keys_inv=[key])
+        check_range("velocity", list(velocity))
+        heading(direction, torch.zeros(2, 1))  # refuses a bad one
+        self.timing = Timing(interval, mean_interval, times, longest=0.0, control_dt=env.control_dt)
+        self.velocity, self.direction, self.rng = velocity, direction, env.rng
+        self.control_dt, num = env.control_dt, env.num_envs
+        self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
+        self.register_buffer("kick", torch.zeros(num, 3))  # the next one [m/s]
+        self.register_buffer("count", torch.zeros(num, dtype=torch.long))
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        due = self.start < self.control_dt - 1e-9
+        tensordict["push", "velocity_kick"] = torch.where(due[:, None], self.kick, 0.0)
+        begun = self.start - self.control_dt
+        self.start, self.count = begun, self.count + due
+        self._draw(due, begun)
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        key = ("push", "velocity_kick")
+        return next_tensordict.set(key, tensordict[key])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        self.count = torch.where(rows, 0, self.count)
+        self._draw(rows, torch.zeros_like(self.start))
+        return tensordict_reset.set(("push", "velocity_kick"), torch.zeros_like(self.kick))
+
+    def _draw(self, rows: Tensor, last: Tensor) -> None:
+        """Plans the next kick of the worlds in ``rows``, whose last one began at ``last``."""
+        u = torch.rand(4, len(rows), generator=self.rng)
+        start = self.timing.next(u[0], last, last, self.count).clamp_min(0.0)
+        kick = between(self.velocity, u[1])[:, None] * heading(self.direction, u[2:])
+        self.start = torch.where(rows, start, self.start)
+        self.kick = torch.where(rows[:, None], kick, self.kick)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["push", "velocity_kick"] = Unbounded(self.kick.shape)
+        return observation_spec

@@ -1,0 +1,72 @@
+"""How the force of a push goes over its duration."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_WIDTH = 3.0  # a Gaussian push begins and ends three standard deviations from its peak
+_WITHIN = math.erf(_WIDTH / math.sqrt(2))
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Shape of a push.
+
+    Args:
+        given: share of the impulse given once the share u of the duration has passed; from 0 at
+            u = 0 to 1 at u = 1.
+        mean: mean force over the duration, as a share of the peak: ``impulse = mean x peak x
+            duration``.
+    """
+
+    given: Callable[[Tensor], Tensor]
+    mean: float
+
+
+PROFILES = {
+    "rectangular": Profile(lambda u: u, 1.0),
+    "half_sine": Profile(lambda u: 0.5 * (1.0 - torch.cos(math.pi * u)), 2.0 / math.pi),
+    "gaussian": Profile(
+        lambda u: 0.5 + 0.5 * torch.erf(_WIDTH * (2.0 * u - 1.0) / math.sqrt(2)) / _WITHIN,
+        _WITHIN * math.sqrt(2 * math.pi) / (2 * _WIDTH),
+    ),
+    "ramp": Profile(lambda u: u.square(), 0.5),
+}
+"""By name; ``half_sine`` and ``gaussian`` are bells, ``ramp`` grows to its peak and stops."""
+
+
+def find_profile(name: str) -> Profile:
+    """The profile of that name.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if name not in PROFILES:
+        raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {name!r}.")
+    return PROFILES[name]
+
+
+def force_share(
+    begin: Tensor, physics_dt: float, start: Tensor, duration: Tensor | float, profile: Profile
+) -> Tensor:
+    """Mean force over each physics step, as a share of the push's peak force.
+
+    Args:
+        begin: begin of each physics step ``(S,)`` [s from now], float64 as ``start``.
+        physics_dt: length of a physics step [s].
+        start: begin of the pushes ``(*B,)`` [s from now].
+        duration: their length ``(*B,)`` or one for all [s].
+        profile: their shape.
+
+    Returns:
+        ``(*B, S)`` in [0, 1]. Its sum times ``physics_dt`` is ``profile.mean x duration`` once
+        the push is over, whatever the rates, so that the impulse is exact.
+    """
+    length = torch.as_tensor(duration, dtype=start.dtype)[..., None]
+    passed = (begin - start[..., None]) / length
+    given = profile.given((passed + physics_dt / length).clamp(0.0, 1.0))
+    share = given - profile.given(passed.clamp(0.0, 1.0))
+    return (share * (profile.mean * length / physics_dt)).float()

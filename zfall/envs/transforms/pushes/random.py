@@ -1,0 +1,167 @@
+"""Pushes at random times, of random size and heading."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
+from zfall.envs.transforms.pushes.force import PushForces
+from zfall.envs.transforms.starts import reset_rows
+
+
+class RandomPush(Transform):
+    """Pushes every world at random times with a random force; one push at a time.
+
+    Sums over physics steps of force x time are the impulse at any control and physics rate: each
+    physics step carries the share of the profile that falls into it. Several of these add up.
+
+    Keys: adds to ``("push", "wrench")`` ``(N, S, bodies, 6)`` [N, N m; world]. Writes what acted
+    in the step just taken, zero without a push: ``("push", "force")`` ``(N, 3)``, its mean over
+    the step [N; world]; and, of the whole push, ``("push", "peak_force")`` [N], ``("push",
+    "impulse")`` [N s] and ``("push", "size")`` ``(N, 1)``, the dimensionless impulse.
+
+    Args:
+        env: the base env.
+        point: where it acts: a push point or a link, see ``HumanoidEnv.push_targets``; of
+            several each push takes one at random.
+        duration: length of a push [s], or the shortest and the longest.
+        interval: shortest and longest rest before a push [s], the first one included; or
+        mean_interval: mean time from push to push [s]; the rests are exponential, which makes a
+            Poisson process but for the time that a push takes; or
+        times: when pushes begin [s since the episode began].
+        force: smallest and largest peak force [N]; or
+        impulse: smallest and largest impulse [N s]; or
+        size: smallest and largest dimensionless impulse, ``impulse / (m sqrt(g h0))``; or
+        axes: smallest and largest peak force along ``x``, ``y`` and ``z`` [N], each drawn on its
+            own; what is not named is 0.
+        direction: ``planar``, level with a uniform heading; ``spherical``, uniform on the
+            sphere; or a fixed vector ``[x, y, z]`` in world axes. Not with ``axes``.
+        profile: how the force goes over the duration: ``rectangular``, ``half_sine``,
+            ``gaussian`` or ``ramp``.
+
+    Raises:
+        ValueError: on an unknown point, direction or profile, a bad range, or not just one of
+            the three timings and of the four measures of strength.
+    """
+
+    start: Tensor
+    duration_now: Tensor
+    force_now: Tensor
+    point_now: Tensor
+    count: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        point: str | Sequence[str],
+        duration: float | Sequence[float],
+        interval: Sequence[float] | None = None,
+        mean_interval: float | None = None,
+        times: Sequence[float] | None = None,
+        force: Sequence[float] | None = None,
+        impulse: Sequence[float] | None = None,
+        size: Sequence[float] | None = None,
+        axes: Mapping[str, Sequence[float]] | None = None,
+        direction: str | Sequence[float] = "planar",
+        profile: str = "rectangular",
+    ):
+        super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
+        points = [point] if isinstance(point, str) else list(point)
+        self.forces = PushForces(env, points, profile)
+        self.duration = [duration] * 2 if isinstance(duration, (int, float)) else list(duration)
+        check_range("duration", self.duration, positive=True)
+        self.timing = Timing(
+            interval, mean_interval, times, longest=self.duration[1], control_dt=env.control_dt
+        )
+        measures = {"force": force, "impulse": impulse, "size": size, "axes": axes}
+        given = [name for name, value in measures.items() if value is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"give just one of {', '.join(measures)}, got {', '.join(given) or 'none'}."
+            )
+        self.measure = given[0]
+        if axes is not None:
+            unknown = sorted(set(axes) - set("xyz"))
+            if unknown:
+                raise ValueError(f"axes must be of x, y and z, got {unknown[0]!r}.")
+            for axis, bounds in axes.items():
+                check_range(f"axes.{axis}", list(bounds), negative=True)
+            axes = {axis: list(axes.get(axis, [0.0, 0.0])) for axis in "xyz"}
+        else:
+            check_range(self.measure, list(force or impulse or size or []))
+            heading(direction, torch.zeros(2, 1))  # refuses a bad one
+        # Kept as given, in its own unit, so that a curriculum can move it.
+        self.force, self.impulse, self.size, self.axes = force, impulse, size, axes
+        self.direction, self.rng = direction, env.rng
+        self.control_dt, self.impulse_unit = env.control_dt, env.robot.impulse_unit
+        num = env.num_envs
+        self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
+        self.register_buffer("duration_now", torch.full((num,), self.duration[1]))  # of the next
+        self.register_buffer("force_now", torch.zeros(num, 3))  # its peak [N]
+        self.register_buffer("point_now", torch.zeros(num, dtype=torch.long))
+        self.register_buffer("count", torch.zeros(num, dtype=torch.long))  # pushes of the episode
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        plan = (self.start, self.duration_now, self.force_now, self.point_now)
+        self.forces.apply(tensordict, *(value[:, None] for value in plan))
+        self.start = self.start - self.control_dt
+        end = self.start + self.duration_now
+        over = end <= 0
+        self.count = self.count + over
+        self._draw(over, end, self.start)
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self.forces.observe(tensordict, next_tensordict)
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        self.count = torch.where(rows, 0, self.count)
+        zero = torch.zeros_like(self.start)
+        self._draw(rows, zero, zero)
+        self.forces.clear(tensordict_reset)
+        return tensordict_reset
+
+    def _draw(self, rows: Tensor, rest_from: Tensor, last: Tensor) -> None:
+        """Plans the next push of the worlds in ``rows``.
+
+        Args:
+            rows: which worlds ``(N,)`` bool.
+            rest_from: since when they rest ``(N,)`` [s from now].
+            last: when the push before began ``(N,)``, or the episode [s from now].
+        """
+        u = torch.rand(7, len(rows), generator=self.rng)  # all rows: the stream is the same
+        start = self.timing.next(u[0], rest_from, last, self.count)
+        duration = between(self.duration, u[1])
+        point = (u[2] * len(self.forces.bodies)).long()
+        force = self._force(u[3:], duration)
+        self.start = torch.where(rows, start.clamp_min(0.0), self.start)
+        self.duration_now = torch.where(rows, duration, self.duration_now)
+        self.point_now = torch.where(rows, point, self.point_now)
+        self.force_now = torch.where(rows[:, None], force, self.force_now)
+
+    def _force(self, u: Tensor, duration: Tensor) -> Tensor:
+        """Peak forces ``(N, 3)`` [N; world] from uniform numbers ``(4, N)``."""
+        if self.axes is not None:
+            return torch.stack(
+                [between(self.axes[a], x) for a, x in zip("xyz", u, strict=False)], -1
+            )
+        strength = between(getattr(self, self.measure), u[0])
+        if self.measure != "force":
+            strength = strength / (self.forces.profile.mean * duration)
+        if self.measure == "size":
+            strength = strength * self.impulse_unit
+        return strength[:, None] * heading(self.direction, u[1:3])
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        self.forces.specify(observation_spec)
+        return observation_spec
