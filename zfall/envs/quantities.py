@@ -1,5 +1,7 @@
 """Named physical quantities from the state and the sensor values of a step."""
 
+from collections.abc import Callable, Iterable
+
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -7,6 +9,18 @@ from torch import Tensor
 from zfall.envs.model import name_in_region
 from zfall.envs.robots import Robot
 from zfall.envs.rotations import rotate_inverse, up_axis
+
+# Keys that are known after every physics step.
+SUBSTEP_KEYS = (
+    "joint_position",
+    "joint_velocity",
+    "base_position",
+    "base_orientation",
+    "projected_gravity",
+    "base_linear_velocity",
+    "base_angular_velocity",
+    "base_acceleration",
+)
 
 
 class Quantities:
@@ -53,12 +67,15 @@ class Quantities:
         for (index, _), places in zip(named, forces - self._forces.start, strict=True):
             self._region[places, torch.arange(3) * num + index] = 1.0
 
-    def __call__(self, qpos: Tensor, qvel: Tensor, sensors: Tensor) -> TensorDict:
+    def __call__(
+        self, qpos: Tensor, qvel: Tensor, sensors: Tensor, gravity: Tensor | None = None
+    ) -> TensorDict:
         """Quantities ``(K, ...)`` float32 of K worlds.
 
         Args:
             qpos, qvel: states at the end of a control step, float64.
             sensors: sensor values of its S physics steps ``(K, S, nsensordata)``.
+            gravity: direction of gravity ``(K, 3)`` [world] if the floor is not level.
         """
         qpos, qvel, values = qpos.float(), qvel.float(), sensors.float()
         last, orientation = values[:, -1], qpos[:, 3:7].contiguous()
@@ -69,7 +86,7 @@ class Quantities:
             "joint_torque": mean[:, self._torque],
             "base_position": qpos[:, :3].contiguous(),
             "base_orientation": orientation,
-            "projected_gravity": -up_axis(orientation),
+            "projected_gravity": _gravity(orientation, gravity),
             "base_linear_velocity": qvel[:, :3].contiguous(),
             "base_angular_velocity": qvel[:, 3:6].contiguous(),
             "base_acceleration": mean[:, self._acceleration],
@@ -88,6 +105,36 @@ class Quantities:
         out["feet_corner_force"] = -last[:, self._corners].unflatten(-1, (2, -1))
         return TensorDict(out, batch_size=[len(qpos)])
 
+    def substeps(
+        self,
+        keys: Iterable[str],
+        qpos: Tensor,
+        qvel: Tensor,
+        sensors: Tensor,
+        gravity: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        """Quantities ``(K, S, ...)`` float32 after each of the S physics steps.
+
+        Args:
+            keys: which, of ``SUBSTEP_KEYS``.
+            qpos, qvel: states after each physics step ``(K, S, ...)``, float64.
+            sensors: sensor values of the steps ``(K, S, nsensordata)``.
+            gravity: direction of gravity ``(K, 3)`` [world] if the floor is not level.
+        """
+        read: dict[str, Callable[[], Tensor]] = {
+            "joint_position": lambda: qpos.float().index_select(-1, self.qpos_index),
+            "joint_velocity": lambda: qvel.float().index_select(-1, self.qvel_index),
+            "base_position": lambda: qpos[..., :3],
+            "base_orientation": lambda: qpos[..., 3:7],
+            "projected_gravity": lambda: _gravity(
+                qpos[..., 3:7].float(), None if gravity is None else gravity[:, None]
+            ),
+            "base_linear_velocity": lambda: qvel[..., :3],
+            "base_angular_velocity": lambda: qvel[..., 3:6],
+            "base_acceleration": lambda: sensors[..., self._acceleration],
+        }
+        return {key: read[key]().float() for key in keys}
+
     def soles(self, sensors: Tensor) -> tuple[Tensor, Tensor]:
         """Positions ``(K, 2, 3)`` and orientations ``(K, 2, 4)`` of the soles alone.
 
@@ -102,3 +149,8 @@ class Quantities:
         """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
         x, y, z = (values[..., self._forces] @ self._region).chunk(3, -1)
         return (x.square() + y.square() + z.square()).amax(1).sqrt()
+
+
+def _gravity(orientation: Tensor, gravity: Tensor | None) -> Tensor:
+    """Direction of gravity in body axes; straight down in the world if ``None``."""
+    return -up_axis(orientation) if gravity is None else rotate_inverse(orientation, gravity)

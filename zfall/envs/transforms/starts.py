@@ -7,6 +7,7 @@ from torchrl.envs import Transform
 from torchrl.envs.transforms.utils import _get_reset
 
 from zfall.envs.humanoid import START_KEYS, HumanoidEnv
+from zfall.envs.transforms.values import per_world
 
 
 class NoisyStart(Transform):
@@ -41,9 +42,9 @@ class NoisyStart(Transform):
         # All rows are drawn, so that the random stream does not depend on who fell.
         noise = torch.randn(2, self.num_envs, len(self.stand), generator=self.rng)
         low, high = self.range.unbind(-1)
-        angle = torch.clamp(self.stand + self.joint_position * noise[0], low, high)
-        tensordict["start", "joint_position"] = angle
-        tensordict["start", "joint_velocity"] = self.joint_velocity * noise[1]
+        angle = self.stand + per_world(self.joint_position, 2) * noise[0]
+        tensordict["start", "joint_position"] = torch.clamp(angle, low, high)
+        tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[1]
         return tensordict
 
 

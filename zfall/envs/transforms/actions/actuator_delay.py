@@ -1,0 +1,89 @@
+"""Commands that arrive late."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.commands import read_commands
+from zfall.envs.transforms.lags import Lags
+from zfall.envs.transforms.starts import reset_rows
+
+
+class ActuatorDelay(Transform):
+    """Lets the servos follow their commands a little late, each world by its own delay.
+
+    A delay is drawn uniformly between its bounds and rounded to physics steps: the command meant
+    for time t acts at t + delay. Before the first command has arrived the servos hold the
+    standing reference. A delay drawn anew at every control step holds for all physics steps of
+    that step; where it grows, the servos get some commands a second time, where it shrinks they
+    miss some.
+
+    Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
+    ``(N, J)``; writes ``control``.
+
+    Args:
+        env: the base env.
+        delay: shortest and longest delay [s].
+        max_delay: length of the buffer [s]; what ``delay`` may be set to later.
+        per: when a delay is drawn, every ``episode`` or every control ``step``.
+        joints: ``shared``, one delay for all joints of a world, or ``own``, one for each.
+
+    Raises:
+        ValueError: if the delays are not in order within [0, max_delay], or an option is unknown.
+    """
+
+    history: Tensor
+    lag: Tensor
+    substep: Tensor
+    first: Tensor
+    reference: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        delay: tuple[float, float],
+        max_delay: float = 0.1,
+        per: str = "episode",
+        joints: str = "shared",
+    ):
+        super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        self._lags = Lags(
+            delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt, rng=env.rng
+        )
+        if joints not in ("shared", "own"):
+            raise ValueError(f"joints must be shared or own, got {joints!r}.")
+        self.delay, self.per, self.joints, self.substeps = delay, per, joints, env.substeps
+        num, length = env.num_envs, self._lags.longest + env.substeps
+        shape = (num,) if joints == "shared" else (num, len(env.stand_position))
+        self.register_buffer("reference", env.stand_position)
+        # The last commands at the rate of the physics, newest last, and the delay in its steps.
+        self.register_buffer("history", env.stand_position.repeat(num, length, 1))
+        self.register_buffer("lag", torch.zeros(shape, dtype=torch.long))
+        # Where the commands of this step lie without a delay: in a world's rows, and its first row.
+        self.register_buffer("substep", self._lags.longest + torch.arange(env.substeps))
+        self.register_buffer("first", length * torch.arange(num)[:, None])
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.per == "step":
+            self.lag = self._lags.draw(self.delay, self.lag.shape)
+        commands = read_commands(tensordict, self.substeps)
+        self.history = torch.cat([self.history[:, self.substeps :], commands], 1)
+        if self.joints == "shared":  # whole rows of joints: several times as fast as a gather
+            rows = self.first + self.substep - self.lag[:, None]
+            control = self.history.flatten(0, 1).index_select(0, rows.flatten())
+            return tensordict.set("control", control.view_as(commands))
+        index = self.substep[:, None] - self.lag[:, None]
+        return tensordict.set("control", self.history.gather(1, index))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        if self.per == "episode":
+            lag = self._lags.draw(self.delay, self.lag.shape)
+            self.lag = torch.where(rows.view(-1, *[1] * (lag.ndim - 1)), lag, self.lag)
+        self.history[rows] = self.reference
+        return tensordict_reset

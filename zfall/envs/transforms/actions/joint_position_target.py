@@ -1,0 +1,62 @@
+"""From the policy's action to the servos' targets."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.values import per_world
+
+
+class JointPositionTarget(Transform):
+    """Reads the action as joint angles around the standing reference pose.
+
+    ``target = clamp(reference + scale * action, joint range)``.
+
+    Keys: reads ``action`` ``(N, J)``, writes ``target`` ``(N, J)`` [rad], for the step and as an
+    observation; after a reset it is the reference. The action has no bounds of its own.
+
+    Args:
+        env: the base env.
+        scale: angle of an action of 1 [rad].
+
+    Raises:
+        ValueError: if ``scale`` is not positive.
+    """
+
+    reference: Tensor
+    range: Tensor
+
+    def __init__(self, env: HumanoidEnv, *, scale: float):
+        super().__init__(in_keys_inv=["target"], out_keys_inv=["action"])
+        if not scale > 0:
+            raise ValueError(f"scale must be positive, got {scale}.")
+        self.scale = scale
+        self.register_buffer("reference", env.stand_position)
+        self.register_buffer("range", env.joint_range)
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        low, high = self.range.unbind(-1)
+        target = self.reference + per_world(self.scale, 2) * tensordict["action"]
+        return tensordict.set("target", torch.clamp(target, low, high))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set("target", tensordict["target"])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        target = self.reference.expand(*tensordict_reset.batch_size, -1).clone()
+        return tensordict_reset.set("target", target)
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        control = input_spec["full_action_spec"].pop("control")
+        shape = (*control.shape[:-2], control.shape[-1])
+        input_spec["full_action_spec", "action"] = Unbounded(shape)
+        return input_spec
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["target"] = Unbounded((*observation_spec.shape, len(self.reference)))
+        return observation_spec

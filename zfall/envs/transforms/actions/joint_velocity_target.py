@@ -1,0 +1,110 @@
+"""From velocities to consistent servo targets."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import per_world
+
+
+class JointVelocityTarget(Transform):
+    """Reads the action as joint velocities and integrates them into consistent servo targets.
+
+    ``v = limit * clamp(action, -1, 1)`` holds for a control step, in which the target moves by
+    ``q(t) = clamp(q(0) + v t, joint range)`` from where it ended before. At the beginning t of
+    each tick of the low level (the first one lies at the beginning of the control step) position
+    and velocity are sampled together and held until the next tick. The servo has no input for a
+    velocity; what its damping would take away is put on the command instead::
+
+        command = q(t) + (damping / stiffness) * v(t)
+
+    so that its torque is ``stiffness (q(t) - q) + damping (v(t) - dq/dt)``, with the nominal
+    gains of the compiled model. ``v(t)`` is the slope of q from this tick to the next: v, less in
+    the tick in which the target meets a stop, 0 at the stop. The integrator holds the clamped
+    value, so that it leaves a stop as soon as the action turns around.
+
+    Keys: reads ``action`` ``(N, J)``; writes ``target`` ``(N, J)`` [rad], where q is at the end
+    of the step, also as an observation, and ``control`` ``(N, S, J)`` [rad]. After a reset the
+    target is the standing reference.
+
+    Args:
+        env: the base env.
+        limit: velocity of an action of 1 [rad/s].
+        rate: of the low level [Hz]; that of the physics if ``None``.
+
+    Raises:
+        ValueError: if ``limit`` is not positive, or a tick is not a whole number of physics
+            steps, or a control step not one of ticks.
+
+    Source: velocities integrated into position targets: Ferigo et al., "On the emergence of
+    whole-body strategies from humanoid robot push-recovery learning", RA-L 2021; consistent
+    position and velocity at a low level's rate: Duburcq et al., "Reactive stepping for humanoid
+    robots using reinforcement learning", IROS 2022, section IV. The velocity goes through the
+    position command, as these servos take nothing else.
+    """
+
+    reference: Tensor
+    range: Tensor
+    time_constant: Tensor
+    time: Tensor
+    position: Tensor
+
+    def __init__(self, env: HumanoidEnv, *, limit: float, rate: float | None = None):
+        super().__init__(in_keys_inv=["target", "control"], out_keys_inv=["action"])
+        if not limit > 0:
+            raise ValueError(f"limit must be positive, got {limit}.")
+        steps = [n for n in range(1, env.substeps + 1) if env.substeps % n == 0]
+        rates = {n: 1 / (n * env.physics_dt) for n in steps}
+        fitting = [n for n in steps if rate is not None and abs(rate / rates[n] - 1) < 1e-6]
+        if rate is not None and not fitting:
+            raise ValueError(
+                "rate must divide the control step into ticks of whole physics steps, one of "
+                f"{', '.join(f'{value:g}' for value in rates.values())} with control_dt "
+                f"{env.control_dt} and physics_dt {env.physics_dt}; got {rate}."
+            )
+        self.limit = limit
+        self.hold = fitting[0] if fitting else 1  # physics steps of a tick
+        self.tick = self.hold * env.physics_dt
+        self.register_buffer("reference", env.stand_position)
+        self.register_buffer("range", env.joint_range)
+        self.register_buffer("time_constant", env.servo_time_constant)
+        ticks = env.substeps // self.hold
+        self.register_buffer("time", self.tick * torch.arange(ticks + 1)[:, None])
+        self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        low, high = self.range.unbind(-1)
+        velocity = tensordict["action"].clamp(-1.0, 1.0) * per_world(self.limit, 2)
+        velocity, start = velocity[:, None], self.position[:, None]
+        position = torch.clamp(start + velocity * self.time, low, high)
+        begin = position[:, :-1]
+        # What is left of the way to the stops bounds the velocity of each tick.
+        slope = torch.clamp(velocity, (low - begin) / self.tick, (high - begin) / self.tick)
+        command = begin + self.time_constant * slope
+        self.position = position[:, -1].clone()
+        tensordict["target"] = self.position.clone()
+        return tensordict.set("control", command.repeat_interleave(self.hold, 1))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set("target", tensordict["target"])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        self.position = torch.where(rows[:, None], self.reference, self.position)
+        return tensordict_reset.set("target", self.position.clone())
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        control = input_spec["full_action_spec"].pop("control")
+        shape = (*control.shape[:-2], control.shape[-1])
+        input_spec["full_action_spec", "action"] = Bounded(-1.0, 1.0, shape)
+        return input_spec
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["target"] = Unbounded(self.position.shape)
+        return observation_spec

@@ -1,0 +1,85 @@
+"""The motion planner in a servo's firmware."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.commands import read_commands
+from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import per_world
+
+
+class ServoPlanner(Transform):
+    """Moves the servos' set-points toward the commands with bounded speed and acceleration.
+
+    The set-point follows a trapezoidal profile: in each physics step dt it takes the speed nearest
+    to the command from which it can still stop there, braking by whole steps. With
+    ``h = acceleration dt``, the way left after this step's share of the old speed,
+    ``rest = command - position - speed dt / 2``, and ``u = 2 |rest| / (h dt)``::
+
+        n = floor(sqrt(u + 1/4) - 1/2)
+        speed = sign(rest) h (n + u / (n + 1)) / 2
+
+    bounded by ``velocity``, and by h around the speed before; the position moves by dt times
+    the mean of the old and the new speed. A command that keeps still is reached within two
+    physics steps after the time of the continuous profile, never passed; one that comes closer
+    than the braking distance is passed and come back to.
+
+    Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
+    ``(N, J)``; writes ``control``, the set-points at the end of each physics step. They begin an
+    episode at rest in the standing reference.
+
+    Args:
+        env: the base env.
+        velocity: largest speed [rad/s].
+        acceleration: largest acceleration [rad/s2].
+
+    Raises:
+        ValueError: if a limit is not positive.
+
+    Source: the limits are those that the robot's maker publishes for its servos (ksim-zbot,
+    ``max_velocity`` and ``max_acceleration``); the profile is ours, exact in discrete time.
+    """
+
+    reference: Tensor
+    position: Tensor
+    speed: Tensor
+
+    def __init__(self, env: HumanoidEnv, *, velocity: float = 5.0, acceleration: float = 39.0):
+        super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        for name, value in (("velocity", velocity), ("acceleration", acceleration)):
+            if not value > 0:
+                raise ValueError(f"{name} must be positive, got {value}.")
+        self.velocity, self.acceleration = velocity, acceleration
+        self.physics_dt, self.substeps = env.physics_dt, env.substeps
+        self.register_buffer("reference", env.stand_position)
+        self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
+        self.register_buffer("speed", torch.zeros(env.num_envs, len(env.stand_position)))
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        half = self.physics_dt / 2
+        change = per_world(self.acceleration, 2) * self.physics_dt
+        fastest = per_world(self.velocity, 2)
+        control = read_commands(tensordict, self.substeps).clone()
+        position, speed = self.position, self.speed
+        for step in range(self.substeps):
+            rest = control[:, step] - position - half * speed
+            u = rest.abs() / (half * change)
+            n = (u + 0.25).sqrt_().sub_(0.5).floor_()
+            most = ((u / (n + 1.0)).add_(n) * (change / 2)).clamp_max(fastest)
+            wanted = torch.copysign(most, rest)
+            before, speed = speed, torch.clamp(wanted, speed - change, speed + change)
+            position = position + half * (before + speed)
+            control[:, step] = position
+        self.position, self.speed = position, speed
+        return tensordict.set("control", control)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)[:, None]
+        self.position = torch.where(rows, self.reference, self.position)
+        self.speed = torch.where(rows, 0.0, self.speed)
+        return tensordict_reset

@@ -1,0 +1,110 @@
+"""Measurements that arrive late."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.lags import Lags
+from zfall.envs.transforms.observations.measured import declare_measured, measured_key
+from zfall.envs.transforms.starts import reset_rows
+
+
+class ObservationDelay(Transform):
+    """Shows a group of sensors as they were a little earlier, in each world by its own delay.
+
+    A delay is drawn uniformly between its bounds and rounded to physics steps; what is measured
+    at time t is the state of t - delay, also between control steps. Before the time of the reset
+    everything was as it is then. A delay drawn anew at every control step may show a state from
+    before the one seen last. ``base_acceleration`` is then that of one physics step, not the mean
+    over a control step, with a delay of 0 too.
+
+    Keys: takes ``("substeps", key)`` ``(N, S, ...)`` out of the TensorDict (rollouts need not
+    store it) and writes ``("measured", key)`` ``(N, ...)``. It must stand before all transforms
+    that measure the same keys: noise, bias and the like act on what it delivers.
+
+    Args:
+        env: the base env, which is made to record ``keys`` at every physics step.
+        delay: shortest and longest delay [s].
+        keys: the quantities of the group, see ``HumanoidEnv.record_substeps``.
+        max_delay: length of the buffer [s]; what ``delay`` may be set to later.
+        per: when a delay is drawn, every ``episode`` or every control ``step``.
+
+    Raises:
+        ValueError: if the delays are not in order within [0, max_delay], on an unknown option, on
+            no key at all or one that is not known at every physics step; when the specs are
+            built, if an earlier transform has measured one of the keys.
+    """
+
+    history: Tensor
+    lag: Tensor
+    row: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        delay: tuple[float, float],
+        keys: list[str],
+        max_delay: float = 0.1,
+        per: str = "episode",
+    ):
+        super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
+        self._lags = Lags(
+            delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt, rng=env.rng
+        )
+        if not keys:
+            raise ValueError("keys must name at least one quantity, got none.")
+        env.record_substeps(keys)
+        self.delay, self.keys, self.per, self.substeps = delay, list(keys), per, env.substeps
+        self._sizes = [env.observation_spec[key].shape[-1] for key in keys]
+        length = max(self._lags.longest + 1, env.substeps)
+        # All keys side by side at the rate of the physics, newest last, and the delay in its steps.
+        self.register_buffer("history", torch.zeros(env.num_envs, length, sum(self._sizes)))
+        self.register_buffer("lag", torch.zeros(env.num_envs, dtype=torch.long))
+        self.register_buffer("row", torch.arange(env.num_envs))
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        if self.per == "step":
+            self.lag = self._lags.draw(self.delay, self.lag.shape)
+        new = self._take(next_tensordict)
+        self.history = torch.cat([self.history[:, self.substeps :], new], 1)
+        return self._deliver(next_tensordict)
+
+    def _take(self, tensordict: TensorDictBase) -> Tensor:
+        values = torch.cat([tensordict.pop(("substeps", key)) for key in self.keys], -1)
+        if tensordict["substeps"].is_empty():
+            del tensordict["substeps"]
+        return values
+
+    def _deliver(self, tensordict: TensorDictBase) -> TensorDictBase:
+        late = self.history[self.row, self.history.shape[1] - 1 - self.lag]
+        for key, value in zip(self.keys, late.split(self._sizes, -1), strict=True):
+            tensordict[measured_key(key)] = value.contiguous()
+        return tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        if self.per == "episode":
+            lag = self._lags.draw(self.delay, self.lag.shape)
+            self.lag = torch.where(rows, lag, self.lag)
+        self.history[rows] = self._take(tensordict_reset)[rows, -1:]
+        return self._deliver(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        for key in self.keys:
+            if measured_key(key) in observation_spec.keys(True):
+                raise ValueError(
+                    f"keys must not be measured before they are delayed, got {key}: put "
+                    "ObservationDelay before the other transforms that measure it, and name each "
+                    "key in one ObservationDelay only."
+                )
+            del observation_spec["substeps", key]
+        if not list(observation_spec["substeps"].keys()):
+            del observation_spec["substeps"]
+        declare_measured(observation_spec, "keys", self.keys)
+        return observation_spec

@@ -1,0 +1,71 @@
+"""Noise that is new at every step."""
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.observations.measured import (
+    declare_measured,
+    measured_key,
+    read_measured,
+)
+from zfall.envs.transforms.values import check_not_negative, per_world
+
+
+class ObservationNoise(Transform):
+    """Adds white noise to what the robot measures, and to nothing else.
+
+    ``measured += std * N(0, 1)`` and ``measured += uniform * U(-1, 1)``, drawn anew for every
+    component, world and control step; a key may have both. Directions and quaternions are not
+    normalised afterwards.
+
+    Keys: reads each key, measured so far or true, and writes ``("measured", key)``, of the same
+    shape and unit. The true value stays where it is, for rewards and the critic.
+
+    Args:
+        env: the base env.
+        std: standard deviation of each key, in the key's own unit.
+        uniform: largest deviation of each key, in the key's own unit.
+
+    Raises:
+        ValueError: on a negative value, no key at all, or a key that is not there.
+    """
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        std: dict[str, float] | None = None,
+        uniform: dict[str, float] | None = None,
+    ):
+        self.std, self.uniform = dict(std or {}), dict(uniform or {})
+        keys = list(dict.fromkeys((*self.std, *self.uniform)))
+        super().__init__(in_keys=keys, out_keys=[measured_key(key) for key in keys])
+        if not keys:
+            raise ValueError("std or uniform must name at least one key, got none.")
+        check_not_negative("std", self.std)
+        check_not_negative("uniform", self.uniform)
+        self.rng = env.rng
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key, std in self.std.items():
+            value = read_measured(next_tensordict, key)
+            noise = torch.randn(value.shape, generator=self.rng)
+            next_tensordict[measured_key(key)] = value + per_world(std, value.ndim) * noise
+        for key, width in self.uniform.items():
+            value = read_measured(next_tensordict, key)
+            noise = 2.0 * torch.rand(value.shape, generator=self.rng) - 1.0
+            next_tensordict[measured_key(key)] = value + per_world(width, value.ndim) * noise
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        declare_measured(observation_spec, "std", self.std)
+        declare_measured(observation_spec, "uniform", self.uniform)
+        return observation_spec

@@ -1,0 +1,53 @@
+"""Several quantities in one vector."""
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.transforms.observations.measured import read_measured
+
+
+class ObservationVector(Transform):
+    """Lines up several quantities in one vector.
+
+    Keys: reads ``keys`` (flattened; bool becomes 0 or 1), writes ``out_key`` ``(N, D)``.
+
+    Args:
+        keys: names of the quantities, in order.
+        out_key: name of the vector, ``observation`` or ``observation_critic``.
+        measured: whether to take what sensing transforms left under ``("measured", key)``, where
+            they did, in place of the true value.
+    """
+
+    def __init__(self, *, keys: list[str], out_key: str, measured: bool):
+        self.keys = [key if isinstance(key, str) else tuple(key) for key in keys]
+        super().__init__(in_keys=self.keys, out_keys=[out_key])
+        self.measured = measured
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        read = read_measured if self.measured else _read_true
+        vector = torch.cat([read(next_tensordict, key).flatten(1) for key in self.keys], -1)
+        return next_tensordict.set(self.out_keys[0], vector)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        there = observation_spec.keys(True)
+        missing = [str(key) for key in self.keys if key not in there]
+        if missing:
+            names = ", ".join(str(key) for key in observation_spec.keys(True, True))
+            raise ValueError(
+                f"keys must name quantities made before them ({names}), got {missing[0]}."
+            )
+        size = sum(observation_spec[key].shape[1:].numel() for key in self.keys)
+        observation_spec[self.out_keys[0]] = Unbounded((*observation_spec.shape, size))
+        return observation_spec
+
+
+def _read_true(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+    return tensordict[key].float()

@@ -1,0 +1,20 @@
+"""Numbers of a transform that may differ from world to world."""
+
+from torch import Tensor
+
+
+def per_world(value: float | Tensor, dims: int) -> float | Tensor:
+    """A number as it is; one per world ``(N,)`` with dimensions added behind, ``dims`` in all.
+
+    The result works with values ``(N, ...)`` of ``dims`` dimensions.
+    """
+    if isinstance(value, Tensor) and value.ndim == 1:
+        return value.reshape(-1, *[1] * (dims - 1))
+    return value
+
+
+def check_not_negative(name: str, values: dict[str, float]) -> None:
+    """Raises ``ValueError`` on a value below 0, naming the key ``name.KEY``."""
+    for key, value in values.items():
+        if not value >= 0:
+            raise ValueError(f"{name}.{key} must not be negative, got {value}.")
