@@ -139,8 +139,16 @@ class Learner:
         self.frames, self.updates = state["frames"], state["updates"]
 
 
-def batch_metrics(batch: TensorDictBase, control_dt: float) -> dict[str, float]:
-    """Means over a batch, by the names of ``metrics.csv``."""
+def batch_metrics(
+    batch: TensorDictBase, carrier: TensorDictBase, control_dt: float
+) -> dict[str, float]:
+    """Means over a batch, by the names of ``metrics.csv``.
+
+    Args:
+        batch: of an update.
+        carrier: what the worlds are in after it: physical parameters, level of the curriculum.
+        control_dt: time between two actions [s].
+    """
     after = batch["next"]
     ended = after["done"]
     metrics = {
@@ -154,4 +162,7 @@ def batch_metrics(batch: TensorDictBase, control_dt: float) -> dict[str, float]:
         metrics["episode_seconds"] = after["step_count"][ended].float().mean().item() * control_dt
     metrics |= {f"reward/{k}": v.mean().item() for k, v in after["reward_terms"].items()}
     metrics |= {f"termination/{k}": int(v.sum()) for k, v in after["terminations"].items()}
+    if "curriculum_level" in carrier.keys():
+        metrics["curriculum/level"] = carrier["curriculum_level"].mean().item()
+    metrics |= {f"params/{k}": v.mean().item() for k, v in carrier.get("params", {}).items()}
     return metrics

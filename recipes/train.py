@@ -98,7 +98,7 @@ def train(learner: Learner, run: "RunFolder", console: Console) -> bool:
             times.append(time.perf_counter())
             losses = learner.learn(batch)
             times.append(time.perf_counter())
-            run.write(learner, batch_metrics(batch, control_dt), losses, times)
+            run.write(learner, batch_metrics(batch, learner.carrier, control_dt), losses, times)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates == total:
                 run.save_last_and_best(learner)
             seconds = times[-1] - times[0]

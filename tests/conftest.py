@@ -1,8 +1,10 @@
 """Fixtures shared by all tests: everything seeded, on the CPU, in seconds."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import absl.logging
 import pytest
 import torch
 from omegaconf import DictConfig
@@ -11,7 +13,13 @@ from torchrl.envs import TransformedEnv
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 
+torch.set_num_threads(1)  # tensors are small here; threads that wait for each other cost more
+
 RECIPES = Path(__file__).parents[1] / "recipes"
+
+# Hydra closes all log handlers; that of absl, which dm_control brings, closes its stream with it,
+# and must not take the one that pytest captures into.
+absl.logging.get_absl_handler().python_handler.stream = sys.__stderr__
 
 
 @pytest.fixture(autouse=True)

@@ -7,6 +7,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.quantities import SUBSTEP_KEYS
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import rotate
 
@@ -188,3 +189,49 @@ def test_saved_env_goes_on_bit_for_bit(make_base):
 def test_bad_numbers_are_refused_with_rule_and_value(values, message):
     with pytest.raises(ValueError, match=message):
         HumanoidEnv(**({"num_envs": 1, "control_dt": 0.04} | values))
+
+
+def test_recorded_substeps_are_those_of_an_env_with_that_control_rate(make_base):
+    """The same targets at the rate of the physics: every step of one is a substep of the other."""
+    slow, fast = make_base(num_envs=2), make_base(num_envs=2, control_dt=0.004)
+    slow.record_substeps(SUBSTEP_KEYS)
+    check_env_specs(slow)
+    td, fine = slow.reset(), fast.reset()
+    for key in SUBSTEP_KEYS:
+        assert torch.equal(td["substeps", key], fine[key][:, None].expand(-1, 10, -1)), key
+    for _ in range(3):
+        target = slow.stand_position + 0.3 * torch.randn(2, 20)
+        td["target"] = target
+        td = slow._step(td)
+        for step in range(10):
+            fine["target"] = target
+            fine = fast._step(fine)
+            for key in SUBSTEP_KEYS:  # each call starts the solver cold
+                assert_close(td["substeps", key][:, step], fine[key], atol=1e-4, rtol=1e-3)
+    for key in set(SUBSTEP_KEYS) - {"base_acceleration"}:
+        assert torch.equal(td["substeps", key][:, -1], td[key]), key
+
+
+def test_substeps_after_a_partial_reset_are_those_of_the_new_state(make_base):
+    env = make_base(num_envs=2)
+    env.record_substeps(["joint_position"])
+    td = env.reset()
+    td["target"] = env.stand_position.expand(2, -1) + 0.3
+    td = env._step(td)
+    td = env._reset(TensorDict({"_reset": torch.tensor([[False], [True]])}, [2]))
+    expected = env.stand_position.expand(10, -1)
+    assert_close(td["substeps", "joint_position"][1], expected)
+
+
+def test_key_that_is_not_known_at_every_physics_step_is_refused(make_base):
+    with pytest.raises(
+        ValueError, match=r"keys must be known .*\(joint_position.*\), got com_position"
+    ):
+        make_base().record_substeps(["com_position"])
+
+
+def test_time_constant_of_the_servos_is_damping_over_stiffness(make_base):
+    """Published gains: legs 1.34640385 / 31.243846, shoulders 16 / 22 of that stiffness."""
+    constant = make_base().servo_time_constant
+    assert_close(constant[:12], torch.full((12,), 1.34640385 / 31.243846))
+    assert_close(constant[[12, 13, 16, 17]], torch.full((4,), 1.34640385 / 31.243846 * 22 / 16))

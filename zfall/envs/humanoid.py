@@ -1,7 +1,9 @@
 """The base env: named physical quantities out, servo targets and forces in."""
 
+from collections.abc import Iterable
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -10,8 +12,9 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms.utils import _get_reset
 
-from zfall.envs.model import compile_model, push_targets, sensor_slices
-from zfall.envs.quantities import Quantities
+from zfall.envs.model import Ball, compile_model, push_targets, sensor_slices
+from zfall.envs.parameters import PhysicsParameters
+from zfall.envs.quantities import SUBSTEP_KEYS, Quantities
 from zfall.envs.robots import ZEROTH01, PushPoint, Robot
 from zfall.envs.rotations import up_axis
 from zfall.envs.simulation import Simulation
@@ -32,7 +35,9 @@ class HumanoidEnv(EnvBase):
     Reads ``control``, servo targets ``(N, S, J)`` [rad] for each of the S physics steps of a
     control step; if that key is absent, ``target`` ``(N, J)``, held for the whole step. Reads
     ``("push", "wrench")`` ``(N, S, bodies, 6)`` [N, N m; world axes] if present; ``push_targets``
-    gives the index of each link and push point.
+    gives the index of each link and push point. Two keys change the state before the step, if
+    present: ``("push", "velocity_kick")`` ``(N, 3)`` [m/s; world] is added to the base's velocity,
+    and ``("ball", "launch")`` ``(N, 1)`` says where the ball is put to ``("ball", "start")``.
 
     Writes the keys below (float32). Positions and velocities of joints and base are those at
     the end of the step. Whatever else comes from MJCF sensors (com, feet, momentum) is one
@@ -65,11 +70,15 @@ class HumanoidEnv(EnvBase):
     contact_force_peak       R         norm of the floor's force on each of ``regions``,
                                        largest over the step [N]
     diverged                 1         bool, the physics failed; the world has terminated
+    ("ball", "position")     3         its center, if there is a ball [m; world]
+    ("ball", "velocity")     3         [m/s; world]
     ======================== ========= ==============================================
 
     ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
     its TensorDict say, NAME being one of ``START_KEYS``. Without ``("start", "base_position")``
     the lowest corner of the soles is put on the floor.
+
+    After ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
 
     Args:
         num_envs: number of worlds N.
@@ -77,6 +86,7 @@ class HumanoidEnv(EnvBase):
         physics_dt: timestep of the physics [s].
         robot: the robot.
         push_points: points for pushes besides the robot's own, by name.
+        ball: a ball that ``ThrownBall`` can throw.
         servos: whether the servos act at all; without them the robot is limp.
         threads: threads for the physics; all cores if ``None``.
 
@@ -95,6 +105,7 @@ class HumanoidEnv(EnvBase):
         physics_dt: float = 0.004,
         robot: Robot = ZEROTH01,
         push_points: dict[str, PushPoint] | None = None,
+        ball: Ball | None = None,
         servos: bool = True,
         threads: int | None = None,
     ):
@@ -112,15 +123,21 @@ class HumanoidEnv(EnvBase):
         self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
         self.control_dt, self.physics_dt = control_dt, physics_dt
         self.regions = robot.regions
-        model = compile_model(robot, physics_dt=physics_dt, push_points=push_points, servos=servos)
+        self.ball = ball
+        model = compile_model(
+            robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos
+        )
         self.simulation = Simulation(model, num_envs, substeps, threads)
         self.push_targets = push_targets(model)
         self.num_bodies = model.nbody - 1
-        self.mass = float(model.body_mass.sum())
+        self.mass = float(model.body_mass.sum()) - (ball.mass if ball else 0.0)
+        self.parameters = PhysicsParameters(model, robot, num_envs)
         self.rng = torch.Generator()
         joints = [model.joint(name) for name in robot.joints]
         self.joint_range = torch.from_numpy(np.stack([j.range for j in joints])).float()
         self.stand_position = torch.tensor(robot.stand_position)
+        self.servo_time_constant = _servo_time_constant(model, robot)
+        self._recorded: tuple[str, ...] = ()
         self._stand = torch.tensor(model.key("stand").qpos.copy())
         self._quantities = Quantities(
             robot,
@@ -134,6 +151,11 @@ class HumanoidEnv(EnvBase):
             [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
         )
         self._wrench = torch.zeros(num_envs, substeps, self.num_bodies, 6)
+        places = (0, 0)  # where the ball's state begins in positions and velocities
+        if ball:
+            joint = model.joint("ball")
+            places = (int(joint.qposadr[0]), int(joint.dofadr[0]))
+        self._ball = tuple(slice(place, place + 3) for place in places)
         self._make_spec()
         self.set_seed(0)
 
@@ -162,6 +184,9 @@ class HumanoidEnv(EnvBase):
             },
             shape=(n,),
         )
+        if self.ball:
+            for key in ("position", "velocity"):
+                self.observation_spec["ball", key] = Unbounded((n, 3))
         low, high = self.joint_range.unbind(-1)
         steps = (n, self.substeps, joints)
         self.full_action_spec = Composite(
@@ -174,16 +199,54 @@ class HumanoidEnv(EnvBase):
             {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in flags}, shape=(n,)
         )
 
+    def record_substeps(self, keys: Iterable[str]) -> None:
+        """Makes the env also write what ``keys`` are after each of the S physics steps.
+
+        ``("substeps", key)`` ``(N, S, ...)``: entry s is the value after physics step s, so that
+        the last one is ``key`` itself (but for ``base_acceleration``, which is a mean over the
+        step); after a reset all are those of the new state. To be called before transforms wrap
+        the env.
+
+        Raises:
+            ValueError: on a key that is not known at every physics step.
+        """
+        keys = list(keys)
+        unknown = [key for key in keys if key not in SUBSTEP_KEYS]
+        if unknown:
+            raise ValueError(
+                f"keys must be known at every physics step ({', '.join(SUBSTEP_KEYS)}), "
+                f"got {unknown[0]}."
+            )
+        self._recorded = tuple(dict.fromkeys((*self._recorded, *keys)))
+        spec = self.observation_spec.clone()
+        for key in keys:
+            num, *shape = spec[key].shape
+            spec["substeps", key] = Unbounded((num, self.substeps, *shape))
+        self.observation_spec = spec
+
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         control = tensordict.get("control", None)
         if control is None:
             control = tensordict["target"][:, None].expand(-1, self.substeps, -1)
         wrench = tensordict.get(("push", "wrench"), None)
+        self._disturb(tensordict)
         sensors = self.simulation.step(control[..., self._to_actuators], wrench)
         diverged = self.simulation.diverged
         if diverged.any():  # such a world ends here, in a state the learner can read
             sensors = self._place(diverged, {})
         return self._observe(sensors, diverged[:, None])
+
+    def _disturb(self, tensordict: TensorDictBase) -> None:
+        """Changes states at once, before the step: kicks and balls."""
+        kick = tensordict.get(("push", "velocity_kick"), None)
+        if kick is not None:
+            self.simulation.qvel[:, :3] += kick
+        launch = tensordict.get(("ball", "launch"), None)
+        if launch is not None and launch.any():
+            rows, (places, speeds) = launch[:, 0], self._ball
+            start = tensordict["ball", "start"][rows].double()
+            self.simulation.qpos[rows, places] = start[:, :3]
+            self.simulation.qvel[rows, speeds] = start[:, 3:]
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
@@ -203,19 +266,37 @@ class HumanoidEnv(EnvBase):
         """
         qpos, qvel = self.simulation.qpos, self.simulation.qvel
         if rows is None:
-            out = self._quantities(qpos, qvel, sensors)
+            out = self._quantities(qpos, qvel, sensors, self.parameters.gravity)
+            if self._recorded:
+                out["substeps"] = self._substeps(sensors, slice(None))
         else:  # the sensor values are the same in all steps of the new rows
-            new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:])
+            gravity = self.parameters.gravity
+            gravity = None if gravity is None else gravity[rows]
+            new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:], gravity)
+            if self._recorded:
+                new["substeps"] = self._substeps(sensors, rows)
             out = TensorDict(
-                {k: v.new_zeros(self.num_envs, *v.shape[1:]) for k, v in new.items()},
+                {k: v.new_zeros(self.num_envs, *v.shape[1:]) for k, v in new.items(True, True)},
                 batch_size=self.batch_size,
             )
-            for key, value in new.items():
+            for key, value in new.items(True, True):
                 out[key][rows] = value
+        if self.ball:
+            for key, state, columns in zip(
+                ("position", "velocity"), (qpos, qvel), self._ball, strict=True
+            ):
+                out["ball", key] = state[:, columns].float()
         for key in ("diverged", "terminated", "done"):
             out[key] = diverged.clone()
         out["truncated"] = torch.zeros_like(diverged)
         return out
+
+    def _substeps(self, sensors: Tensor, rows: Tensor | slice) -> dict[str, Tensor]:
+        """What ``record_substeps`` asked for, of some worlds."""
+        qpos, qvel = (states[rows] for states in self.simulation.substates)
+        gravity = self.parameters.gravity
+        gravity = None if gravity is None else gravity[rows]
+        return self._quantities.substeps(self._recorded, qpos, qvel, sensors[rows], gravity)
 
     def _place(self, rows: Tensor, start: dict[str, Tensor]) -> Tensor:
         """Puts worlds into their start state; returns the sensor values of all worlds."""
@@ -235,25 +316,55 @@ class HumanoidEnv(EnvBase):
             state[:, columns] = value[rows].double()
         control = self.stand_position.double()[self._to_actuators].repeat(count, 1)
         if start and "base_position" not in start:
-            qpos[:, 2] -= self._clearance(qpos, qvel, control)
+            qpos[:, 2] -= self._clearance(qpos, qvel, control, rows)
         return self.simulation.reset(rows, qpos, qvel, control)
 
-    def _clearance(self, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
+    def _clearance(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
         """Height of the lowest corner of the soles above the floor ``(K,)`` [m]."""
-        sensors = self.simulation.sensors_of(qpos, qvel, control)
+        sensors = self.simulation.sensors_of(qpos, qvel, control, rows)
         position, orientation = self._quantities.soles(sensors)
         slope = up_axis(orientation)[..., :2].abs()
         drop = (slope * slope.new_tensor(self.robot.sole_half_size)).sum(-1)
         return (position[..., 2] - drop).amin(-1)
+
+    @property
+    def physics_param_spec(self) -> Composite:
+        """Physical parameters that ``set_physics_params`` takes, see ``PhysicsParameters``."""
+        return self.parameters.spec
+
+    def set_physics_params(self, tensordict: TensorDictBase, mask: Tensor | None = None) -> None:
+        """Gives worlds physical parameters of their own, from the coming step or reset on.
+
+        Args:
+            tensordict: any of the keys of ``physics_param_spec`` ``(N, ...)``; the others stay.
+            mask: worlds whose parameters change ``(N,)`` bool; all if ``None``.
+
+        Raises:
+            ValueError: on a key that ``physics_param_spec`` does not have, or another shape.
+        """
+        rows = torch.ones(self.num_envs, dtype=torch.bool) if mask is None else mask.reshape(-1)
+        fields = self.parameters.update(dict(tensordict.items()), rows)
+        self.simulation.set_fields(rows, fields)
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng.manual_seed(0 if seed is None else int(seed))
 
     def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """State of the physics and of the random generator, enough to go on bit for bit."""
-        return {"simulation": self.simulation.state_dict(), "rng": self.rng.get_state()}
+        return {
+            "simulation": self.simulation.state_dict(),
+            "rng": self.rng.get_state(),
+            "parameters": self.parameters.state_dict(),
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any], *args: Any, **kwargs: Any) -> None:
         """Restores what ``state_dict`` gave."""
+        self.set_physics_params(TensorDict(state_dict["parameters"]))
         self.simulation.load_state_dict(state_dict["simulation"])
         self.rng.set_state(state_dict["rng"])
+
+
+def _servo_time_constant(model: mujoco.MjModel, robot: Robot) -> Tensor:
+    """Damping over stiffness of each joint with its servo ``(J,)`` [s], as compiled."""
+    joints = [(model.joint(name), model.actuator(name)) for name in robot.joints]
+    return torch.tensor([float((j.damping[0] - a.biasprm[2]) / -a.biasprm[1]) for j, a in joints])

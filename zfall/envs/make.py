@@ -27,7 +27,8 @@ def make_env(
     Args:
         base_env: the env, or its config with a ``_target_``.
         transforms: by name, transforms or their configs. A class whose first parameter is named
-            ``env`` is given the base env.
+            ``env`` is given the base env; one with a method ``attach`` is called with the table
+            of all that were built.
         training_only: names of transforms that evaluation leaves out: pushes, noise, delays,
             randomisation.
         training: whether to keep them.
@@ -43,9 +44,12 @@ def make_env(
         )
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
     used = {k: v for k, v in transforms.items() if training or k not in training_only}
-    built = [build_transform(transform, env) for transform in used.values()]
-    before = [transform for transform in built if transform.in_keys_inv]
-    after = [transform for transform in built if not transform.in_keys_inv]
+    built = {name: build_transform(transform, env) for name, transform in used.items()}
+    for transform in built.values():
+        if hasattr(transform, "attach"):
+            transform.attach(built)
+    before = [transform for transform in built.values() if transform.in_keys_inv]
+    after = [transform for transform in built.values() if not transform.in_keys_inv]
     return TransformedEnv(env, Compose(*reversed(before), *after))
 
 

@@ -1,5 +1,6 @@
 """The only place that steps MuJoCo: a batch of worlds on the CPU."""
 
+import copy
 import os
 
 import mujoco
@@ -9,7 +10,8 @@ from torch import Tensor
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
-
+# Fields that others are derived from.
+_CONSTANTS = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
 # No state or sensor of a sound world comes near it, in SI units; not a number is not below it.
 _BOUND = 1e6
@@ -46,6 +48,7 @@ class Simulation:
         # Without this MuJoCo would put a diverged world back to its initial state and go on.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model, self.substeps = model, substeps
+        self._models = [model] * num_worlds  # one object for all until set_fields
         self.threads = threads or len(os.sched_getaffinity(0))
         self._pool = rollout.Rollout(nthread=self.threads)
         self._data = [mujoco.MjData(model) for _ in range(self.threads)]
@@ -59,6 +62,16 @@ class Simulation:
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
         self.qvel = self._state[:, end : end + model.nv]
+
+    @property
+    def substates(self) -> tuple[Tensor, Tensor]:
+        """Positions ``(N, S, nq)`` and velocities ``(N, S, nv)`` after each step of the last call.
+
+        Float64 views that the next ``step`` overwrites; in rows reset since, all S are the new
+        state.
+        """
+        end = 1 + self.model.nq
+        return self._states[..., 1:end], self._states[..., end : end + self.model.nv]
 
     def step(self, control: Tensor, wrench: Tensor | None = None) -> Tensor:
         """Takes S physics steps in every world.
@@ -79,7 +92,7 @@ class Simulation:
             self._inputs[:, :, nu:] = 0.0
         else:  # the world body, which comes first, keeps its zeros
             self._inputs[:, :, nu + 6 :] = wrench.flatten(-2)
-        self._roll(self._state, self._inputs, self._states, self._sensors)
+        self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
         end = self._states[:, -1]
         largest = torch.maximum(_largest(self._sensors), _largest(self._states))
         passed = end[:, 0] - self._state[:, 0]  # a world that MuJoCo gave up on lags behind
@@ -101,19 +114,44 @@ class Simulation:
             values of its new state, and the other rows are as the last ``step`` left them.
         """
         self._state[rows] = self._full_state(qpos, qvel)
-        self._sensors[rows] = self.sensors_of(qpos, qvel, control)[:, None]
+        self._states[rows] = self._state[rows, None]
+        self._sensors[rows] = self.sensors_of(qpos, qvel, control, rows)[:, None]
         self.diverged = self.diverged & ~rows
         return self._sensors
 
-    def sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
-        """Sensor values ``(K, nsensordata)`` of any states, arguments as in ``reset``."""
+    def set_fields(self, rows: Tensor, fields: dict[str, Tensor]) -> None:
+        """Gives the worlds in ``rows`` ``(N,)`` bool a model of their own with other values.
+
+        What MuJoCo derives from masses and inertias is computed anew.
+
+        Args:
+            rows: which worlds.
+            fields: by name of a field of ``mjModel`` (or ``gravity``), values of those worlds
+                ``(K, *shape of the field)``.
+        """
+        if not fields:
+            return
+        if self._models[0] is self.model:
+            self._models = [copy.copy(self.model) for _ in self._models]
+        derive = not _CONSTANTS.isdisjoint(fields)
+        values = {name: value.numpy() for name, value in fields.items()}
+        for k, row in enumerate(rows.nonzero()[:, 0].tolist()):
+            model = self._models[row]
+            for name, value in values.items():
+                getattr(model.opt if name == "gravity" else model, name)[:] = value[k]
+            if derive:
+                mujoco.mj_setConst(model, self._data[0])
+
+    def sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
+        """Sensor values ``(K, nsensordata)`` of any states; arguments as in ``reset``."""
         state = self._full_state(qpos, qvel)
         inputs = torch.zeros(len(state), 1, self._inputs.shape[-1], dtype=torch.float64)
         inputs[:, 0, : self.model.nu] = control
         states = torch.empty(len(state), 1, state.shape[-1], dtype=torch.float64)
         sensors = torch.empty(len(state), 1, self.model.nsensordata, dtype=torch.float64)
         if len(state):  # the sensors of a step are those of the state before it
-            self._roll(state, inputs, states, sensors)
+            models = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
+            self._roll(models, state, inputs, states, sensors)
         return sensors[:, 0]
 
     def _full_state(self, qpos: Tensor, qvel: Tensor) -> Tensor:
@@ -123,9 +161,16 @@ class Simulation:
         state[:, end : end + self.model.nv] = qvel
         return state
 
-    def _roll(self, state: Tensor, inputs: Tensor, states: Tensor, sensors: Tensor) -> None:
+    def _roll(
+        self,
+        models: list[mujoco.MjModel],
+        state: Tensor,
+        inputs: Tensor,
+        states: Tensor,
+        sensors: Tensor,
+    ) -> None:
         self._pool.rollout(
-            [self.model] * len(state),
+            models,
             self._data,
             state.numpy(),
             inputs.numpy(),

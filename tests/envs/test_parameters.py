@@ -1,0 +1,143 @@
+"""Physical parameters of each world, against models that MuJoCo compiled with them."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.testing import assert_close
+
+from zfall.envs.model import compile_model
+from zfall.envs.robots import ZEROTH01
+
+DERIVED = ("body_subtreemass", "dof_M0", "dof_invweight0", "body_invweight0", "actuator_acc0")
+
+
+def values(base, **given: torch.Tensor) -> TensorDict:
+    return TensorDict(given, batch_size=[base.num_envs])
+
+
+def test_masses_and_payload_give_the_model_that_compiling_them_gives(make_base):
+    """MjSpec compiles link masses x 1.2, 0.3 kg at the chest, armature x 0.5: all fields equal."""
+    base = make_base(num_envs=2)
+    points = list(base.parameters.push_points)
+    payload = torch.zeros(2, len(points))
+    payload[:, points.index("chest")] = 0.3
+    masses = torch.full((2, len(base.parameters.links)), 1.2)
+    armature = torch.full((2, 20), 0.5)
+    given = values(base, link_mass=masses, payload=payload, joint_armature=armature)
+    base.set_physics_params(given, torch.tensor([False, True]))
+
+    spec = mujoco.MjSpec.from_file(ZEROTH01.mjcf)
+    spec.option.timestep = 0.004
+    plain = compile_model(ZEROTH01, physics_dt=0.004)
+    for body in spec.bodies[1:]:
+        body.explicitinertial = True
+        body.mass *= 1.2
+        body.inertia = np.array(body.inertia) * 1.2
+        body.fullinertia = np.array(body.fullinertia) * 1.2
+    for name in points:
+        source = plain.body(f"push_point/{name}")
+        parent = spec.body(plain.body(int(source.parentid[0])).name)
+        point = parent.add_body(name=f"push_point/{name}", pos=source.pos)
+        point.explicitinertial = True
+        point.mass = 0.3 if name == "chest" else 0.0
+        point.ipos = [0, 0, 0]
+    for joint in spec.joints[1:]:
+        joint.armature = 0.5 * float(plain.joint(joint.name).armature[0])
+    expected = spec.compile()
+    ours, untouched = base.simulation._models[1], base.simulation._models[0]
+    for field in ("body_mass", "body_inertia", "body_ipos", "dof_armature", *DERIVED):
+        np.testing.assert_allclose(
+            getattr(ours, field), getattr(expected, field), rtol=1e-6, atol=1e-9, err_msg=field
+        )
+        np.testing.assert_array_equal(getattr(untouched, field), getattr(plain, field))
+
+
+def test_a_heavier_robot_presses_harder_on_the_floor(make_task, make_base):
+    base = make_base(num_envs=2)
+    masses = torch.ones(2, len(base.parameters.links))
+    masses[1] = 1.3
+    base.set_physics_params(values(base, link_mass=masses))
+    td = base.reset()
+    for _ in range(40):
+        td["target"] = base.stand_position.expand(2, 20)
+        td = base.step(td)["next"]
+    weight = td["feet_force"][..., 2].sum(-1)
+    assert_close(weight, 9.81 * 3.3494 * torch.tensor([1.0, 1.3]), rtol=5e-3, atol=0)
+
+
+def test_on_a_slope_the_feet_feel_gravity_from_the_side(make_base):
+    """Standing on a floor that falls by 0.1 rad forward: F_x = -m g sin(0.1) from the floor."""
+    base = make_base(num_envs=2)
+    slope = torch.tensor([[0.1, 0.0], [0.0, 0.0]])
+    base.set_physics_params(values(base, slope=slope))
+    td = base.reset()
+    assert_close(td["projected_gravity"][0], torch.tensor([np.sin(0.1), 0, -np.cos(0.1)]).float())
+    for _ in range(20):
+        td["target"] = base.stand_position.expand(2, 20)
+        td = base.step(td)["next"]
+    force = td["feet_force"].sum(1)
+    weight = 9.81 * 3.3494
+    assert_close(force[0, 0].item(), -weight * np.sin(0.1), rtol=0.1, atol=0)
+    assert abs(force[1, 0].item()) < 0.02 * weight
+
+
+def test_slippery_feet_slide_on_a_slope_steeper_than_their_friction(make_base):
+    """tan(0.15) = 0.151: friction 0.1 cannot hold, 0.3 can."""
+    base = make_base(num_envs=2)
+    base.set_physics_params(
+        values(
+            base, slope=torch.tensor([[0.0, 0.15]] * 2), foot_friction=torch.tensor([[0.1], [0.3]])
+        )
+    )
+    td = base.reset()
+    for _ in range(12):
+        td["target"] = base.stand_position.expand(2, 20)
+        td = base.step(td)["next"]
+    slid = td["feet_position"][..., 1].mean(-1)
+    assert slid[0] > 0.03
+    assert slid[1].abs() < 0.01
+
+
+def test_a_weak_battery_limits_the_torque_and_an_offset_moves_the_joint(make_base):
+    base = make_base(num_envs=3)
+    base.simulation.model.opt.gravity[:] = 0
+    offset = torch.zeros(3, 20)
+    offset[2] = 0.05
+    base.set_physics_params(
+        values(base, battery_voltage=torch.tensor([[1.0], [0.5], [1.0]]), joint_zero_offset=offset)
+    )
+    td = base.reset()
+    base.simulation.qpos[:, 2] = 2.0
+    low = base.joint_range[:, 0].expand(3, 20)
+    far = base.step(td.set("target", low - 2.0))["next"]["joint_torque"]
+    assert far[0].abs().max().item() == pytest.approx(8.4546, rel=0.01)
+    assert far[1].abs().max().item() == pytest.approx(4.2273, rel=0.01)
+    td = base.reset()
+    base.simulation.qpos[:, 2] = 2.0
+    for _ in range(50):
+        td["target"] = base.stand_position.expand(3, 20)
+        td = base.step(td)["next"]
+    moved = td["joint_position"][2] - td["joint_position"][0]
+    # The servo stops where its encoder reads the target, up to dry friction / stiffness.
+    assert_close(moved, torch.full((20,), -0.05), atol=0.02, rtol=0)
+
+
+def test_only_masked_rows_change_and_the_state_restores_them(make_base):
+    base = make_base(num_envs=3)
+    friction = torch.tensor([[0.2], [0.4], [0.6]])
+    base.set_physics_params(values(base, foot_friction=friction), torch.tensor([True, False, True]))
+    assert_close(base.parameters.values["foot_friction"], torch.tensor([[0.2], [1.0], [0.6]]))
+    other = make_base(num_envs=3)
+    other.load_state_dict(base.state_dict())
+    for one, two in zip(base.simulation._models, other.simulation._models, strict=True):
+        np.testing.assert_array_equal(one.geom_friction, two.geom_friction)
+
+
+def test_unknown_parameters_and_wrong_shapes_are_refused(make_base):
+    base = make_base(num_envs=2)
+    with pytest.raises(ValueError, match=r"physical parameters must be of link_mass, .*got 'mass'"):
+        base.set_physics_params(values(base, mass=torch.ones(2, 1)))
+    with pytest.raises(ValueError, match=r"slope must have the shape \(2, 2\), got \(2, 1\)"):
+        base.set_physics_params(values(base, slope=torch.ones(2, 1)))

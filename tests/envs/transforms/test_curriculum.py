@@ -1,0 +1,112 @@
+"""Levels count successes; fields follow levels."""
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from torch.testing import assert_close
+from torchrl.envs.utils import check_env_specs
+
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.curriculum import Curriculum
+from zfall.envs.transforms.observations import ObservationNoise
+from zfall.envs.transforms.pushes import RandomPush
+
+TABLE = {
+    "action": (JointPositionTarget, {"scale": 1.0}),
+    "push": (
+        RandomPush,
+        {"point": "torso", "size": [0.1, 0.2], "duration": 0.1, "interval": [0.5, 1]},
+    ),
+    "noise": (ObservationNoise, {"std": {"joint_position": 0.01}}),
+}
+
+
+def course(make_task, fields: dict, **values):
+    return make_task({**TABLE, "curriculum": (Curriculum, {"fields": fields} | values)})
+
+
+def ended(transform: Curriculum, terminated: list[bool], done: list[bool]) -> None:
+    """Tells the curriculum how the worlds' steps ended."""
+    from tensordict import TensorDict
+
+    flags = {"terminated": terminated, "done": done}
+    td = TensorDict({key: torch.tensor(value)[:, None] for key, value in flags.items()})
+    transform._step(td, td)
+
+
+def find(env, kind):
+    return next(t for t in env.transform if isinstance(t, kind))
+
+
+def test_success_raises_and_a_fall_lowers_only_the_level_of_its_world(make_task):
+    env = course(make_task, {"noise.std.joint_position": [0.0, 0.1]}, up=0.1, down=0.05, level=0.5)
+    curriculum, noise = find(env, Curriculum), find(env, ObservationNoise)
+    ended(curriculum, [False, True, False, True], [True, True, False, False])
+    assert_close(curriculum.level, torch.tensor([0.6, 0.45, 0.5, 0.5]))
+    assert_close(noise.std["joint_position"], torch.tensor([0.06, 0.045, 0.05, 0.05]))
+
+
+def test_levels_stay_within_their_bounds(make_task):
+    env = course(make_task, {"push.size": [[0.1, 0.2], [0.5, 0.9]]}, up=0.7, down=0.7)
+    curriculum = find(env, Curriculum)
+    for _ in range(3):
+        ended(curriculum, [False, True, False, True], [True] * 4)
+    assert curriculum.level.tolist() == [1.0, 0.0, 1.0, 0.0]
+
+
+def test_pairs_are_interpolated_between_stages_or_kept_until_the_next(make_task):
+    stages = {"push.size": [[0.0, 0.2], [0.2, 0.4], [0.8, 1.0]]}
+    for stepwise, expected in ((False, [0.5, 0.7]), (True, [0.2, 0.4])):
+        env = course(make_task, stages, level=0.75, stepwise=stepwise)
+        size = find(env, RandomPush).size
+        assert_close(size[:, 0], torch.tensor(expected))
+
+
+def test_pushes_of_a_world_have_the_size_of_its_level(make_task):
+    env = course(make_task, {"push.size": [[0.1, 0.1], [0.5, 0.5]]})
+    curriculum = find(env, Curriculum)
+    curriculum.level = torch.tensor([0.0, 0.25, 0.5, 1.0])
+    curriculum._move()
+    td, largest = env.reset(), torch.zeros(4, 1)
+    for _ in range(30):
+        td["action"] = torch.zeros(4, 20)
+        td = env.step(td)["next"]
+        largest = torch.maximum(largest, td["push", "size"])
+    assert_close(largest[:, 0], torch.tensor([0.1, 0.2, 0.3, 0.5]))
+
+
+def test_a_restored_level_moves_the_fields(make_task):
+    fields = {"push.size": [[0.1, 0.1], [0.5, 0.5]]}
+    env, other = course(make_task, fields), course(make_task, fields)
+    find(env, Curriculum).level.fill_(0.5)
+    other.transform.load_state_dict(env.transform.state_dict())
+    assert_close(find(other, RandomPush).size, torch.full((2, 4), 0.3))
+
+
+@pytest.mark.parametrize(("fields", "message"), [
+    ({"kick.size": [0, 1]}, "fields.kick.size must begin with a transform of the table, one of action, push"),
+    ({"push.strength": [0, 1]}, "fields.push.strength: there is no 'strength', only .*size"),
+    ({"push.size": [0.1, 0.2]}, r"fields.push.size must hold values like \[0.1, 0.2\], got"),
+    ({"push.size": [[0.1, 0.2]]}, "fields.push.size must hold at least two stages"),
+])  # fmt: skip
+def test_bad_fields_are_refused(make_task, fields, message):
+    with pytest.raises(ValueError, match=message):
+        course(make_task, fields)
+
+
+@pytest.mark.parametrize("preset", [
+    *(f"push=zf_{stage}" for stage in ("easy", "medium", "hard", "kneel")),
+    *("push=icub", "push=atalante", "randomization=zf", "randomization=icub"),
+])  # fmt: skip
+def test_presets_make_envs_that_hold_their_specs(compose_config, preset):
+    check_env_specs(instantiate(compose_config(f"+{preset}", "num_envs=2").env))
+
+
+def test_stages_of_the_zeroth_project_change_pushes_and_their_interval(compose_config):
+    env = instantiate(compose_config("+push=zf_easy", "+curriculum=zf", "num_envs=3").env)
+    curriculum, push = find(env, Curriculum), find(env, RandomPush)
+    curriculum.level = torch.tensor([0.2, 0.5, 1.0])
+    curriculum._move()
+    assert push.axes["x"][1].tolist() == [20, 40, 100]
+    assert push.axes["z"][0].tolist() == [0, 0, -20]
+    assert push.timing.interval[1].tolist() == [4, 3, 2]

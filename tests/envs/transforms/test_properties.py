@@ -1,0 +1,234 @@
+"""What holds for every transform and every table of them."""
+
+import copy
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.testing import assert_close
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs, step_mdp
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.make import make_env
+from zfall.envs.model import Ball
+
+_ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
+_SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
+_ESTIMATION = "zfall.envs.transforms.estimation"
+TARGETS = {
+    "position": {"_target_": f"{_ACTIONS}.JointPositionTarget", "scale": 0.6},
+    "velocity": {"_target_": f"{_ACTIONS}.JointVelocityTarget", "limit": 3.0, "rate": 125},
+}
+IMU = ["projected_gravity", "base_angular_velocity"]
+TABLE = {  # in the order of a yaml
+    "start": {
+        "_target_": "zfall.envs.transforms.starts.NoisyStart",
+        "joint_position": 0.05,
+        "joint_velocity": 0.2,
+    },
+    "planner": {"_target_": f"{_ACTIONS}.ServoPlanner"},
+    "deadband": {"_target_": f"{_ACTIONS}.Deadband", "width": 0.01},
+    "backlash": {"_target_": f"{_ACTIONS}.Backlash", "width": 0.02},
+    "low_pass": {"_target_": f"{_ACTIONS}.LowPass", "time_constant": 0.02},
+    "delay": {"_target_": f"{_ACTIONS}.ActuatorDelay", "delay": [0.0, 0.03]},
+    "jitter": {
+        "_target_": f"{_ACTIONS}.ActuatorDelay",
+        "delay": [0.0, 0.01],
+        "per": "step",
+        "joints": "own",
+    },
+    "push": {
+        "_target_": f"{_PUSHES}.RandomPush",
+        "point": ["torso", "pelvis"],
+        "size": [0.1, 0.6],
+        "duration": [0.05, 0.15],
+        "mean_interval": 0.4,
+        "direction": "spherical",
+        "profile": "gaussian",
+    },
+    "script": {
+        "_target_": f"{_PUSHES}.ScriptedPush",
+        "point": "chest",
+        "duration": 0.1,
+        "time": [0.1],
+        "plan": [[3.0, 2.0, 0.0]],
+    },
+    "kick": {"_target_": f"{_PUSHES}.VelocityKick", "velocity": [0.1, 0.3], "interval": [0.1, 0.3]},
+    "ball": {"_target_": f"{_PUSHES}.ThrownBall", "speed": [3, 4], "interval": [0.1, 0.5]},
+    "random": {
+        "_target_": f"{_RANDOM}.DomainRandomization",
+        "interval": 0.12,
+        "params": {
+            "link_mass": {"uniform": [0.9, 1.1]},
+            "foot_friction": {"log_uniform": [0.5, 1.5]},
+            "joint_zero_offset": {"normal": [0.0, 0.02]},
+            "slope": {"uniform": [-0.05, 0.05]},
+        },
+    },
+    "last_action": {"_target_": "zfall.envs.transforms.windows.LastAction"},
+    "fall": {
+        "_target_": "zfall.envs.transforms.terminations.Terminations",
+        "conditions": {
+            "low": {
+                "_target_": "zfall.envs.terms.falls.low",
+                "_partial_": True,
+                "height": 0.1,
+            }
+        },
+    },
+    "limit": {"_target_": "torchrl.envs.StepCounter", "max_steps": 9},
+    "curriculum": {
+        "_target_": "zfall.envs.transforms.curriculum.Curriculum",
+        "up": 0.3,
+        "fields": {"start.joint_position": [0.05, 0.1]},
+    },
+    "late": {"_target_": f"{_SENSING}.ObservationDelay", "delay": [0.0, 0.05], "keys": IMU},
+    "askew": {"_target_": f"{_RANDOM}.ImuMisalignment", "angle": 0.03, "keys": IMU},
+    "bias": {"_target_": f"{_SENSING}.ObservationBias", "std": {"base_angular_velocity": 0.02}},
+    "walk": {"_target_": f"{_SENSING}.ObservationRandomWalk", "rate": {IMU[1]: 0.01}},
+    "noise": {
+        "_target_": f"{_SENSING}.ObservationNoise",
+        "std": {"joint_position": 0.01},
+        "uniform": {"projected_gravity": 0.01},
+    },
+    "bits": {"_target_": f"{_SENSING}.Quantization", "step": {"joint_position": 0.0015}},
+    "lost": {
+        "_target_": f"{_SENSING}.ObservationDropout",
+        "probability": 0.2,
+        "keys": ["joint_position"],
+    },
+    "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
+    "speed": {"_target_": f"{_ESTIMATION}.JointVelocityKalmanFilter"},
+    "observation": {
+        "_target_": f"{_SENSING}.ObservationVector",
+        "out_key": "observation",
+        "measured": True,
+        "keys": [*IMU, "joint_position", "joint_velocity"],
+    },
+}
+TABLES = st.tuples(
+    st.sampled_from(list(TARGETS)),
+    st.sets(st.sampled_from(list(TABLE)), min_size=1).map(lambda names: names | {"limit"}),
+)
+EVERYTHING = ("position", set(TABLE))
+
+
+def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
+    target, names = table
+    if "curriculum" in names:
+        names = names | {"start"}
+    base = HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=Ball(mass=0.2, radius=0.03))
+    chosen = {name: TABLE[name] for name in TABLE if name in names}
+    env = make_env(base, {"action": TARGETS[target]} | copy.deepcopy(chosen))
+    env.set_seed(0)
+    return env
+
+
+def run(env: TransformedEnv, td, steps: int, seed: int):
+    """Random actions, episodes that end and begin; the data and what goes on from them."""
+    generator, seen = torch.Generator().manual_seed(seed), []
+    for _ in range(steps):
+        td["action"] = 0.5 * torch.randn(env.num_envs, 20, generator=generator)
+        data, td = env.step_and_maybe_reset(td)
+        seen.append(data["next"].clone())
+    return seen, td
+
+
+def equal(one, other, rows=slice(None)) -> None:
+    assert set(one.keys(True, True)) == set(other.keys(True, True))
+    for key in one.keys(True, True):
+        assert torch.equal(one[key][rows], other[key][rows]), key
+
+
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(TABLES)
+def test_specs_hold(table):
+    check_env_specs(build(table))
+
+
+def test_specs_hold_with_everything_on():
+    for target in TARGETS:
+        check_env_specs(build((target, set(TABLE))))
+
+
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(TABLES, st.lists(st.booleans(), min_size=4, max_size=4).filter(any), st.integers(0, 99))
+def test_partial_reset_equals_full_reset_on_its_rows(table, mask, seed):
+    """Two equal envs, one reset in full, the other in some rows: those rows stay equal.
+
+    Levels of the curriculum move with the ends of episodes, so both envs end the same ones.
+    """
+    env, other = build(table), build(table)
+    starts = []
+    for one, rows in ((env, [True] * 4), (other, mask)):
+        _, td = run(one, one.reset(), 5, seed)
+        td["_reset"] = torch.tensor(rows)[:, None]
+        starts.append(one.reset(td).exclude("_reset", "action"))
+    rows = torch.tensor(mask)
+    equal(starts[0], starts[1], rows)
+    seen = [run(one, td, 4, seed)[0] for one, td in zip((env, other), starts, strict=True)]
+    for one, two in zip(*seen, strict=True):
+        equal(one, two, rows)
+
+
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(TABLES, st.integers(1, 12), st.integers(0, 99))
+def test_a_restored_env_goes_on_bit_for_bit(table, steps, seed):
+    check_restored(table, steps, seed)
+
+
+@pytest.mark.parametrize("steps", [3, 11])
+def test_a_restored_env_goes_on_bit_for_bit_with_everything_on(steps):
+    check_restored(EVERYTHING, steps, seed=1)
+
+
+def check_restored(table, steps: int, seed: int) -> None:
+    env, other = build(table), build(table)
+    _, td = run(env, env.reset(), steps, seed)
+    base, transforms, carrier = env.base_env.state_dict(), env.transform.state_dict(), td.clone()
+    base, transforms = copy.deepcopy(base), copy.deepcopy(transforms)
+    expected, _ = run(env, td, 10, seed + 1)
+    run(other, other.reset(), 2, seed + 2)  # somewhere else by now
+    other.base_env.load_state_dict(base)
+    other.transform.load_state_dict(transforms)
+    found, _ = run(other, carrier, 10, seed + 1)
+    for one, two in zip(expected, found, strict=True):
+        equal(one, two)
+
+
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(st.permutations(["planner", "backlash", "low_pass", "delay"]))
+def test_the_order_of_the_table_is_the_order_of_data(order):
+    """Commands through the chain at once equal those through each transform on its own."""
+    base = HumanoidEnv(num_envs=2, control_dt=0.04)
+    env = make_env(base, {"action": TARGETS["position"]} | {name: TABLE[name] for name in order})
+    alone = [make_env(HumanoidEnv(num_envs=2, control_dt=0.04), {"a": TABLE[n]}) for n in order]
+    seen: list[torch.Tensor] = []
+    step = base._step
+    base._step = lambda td: seen.append(td["control"].clone()) or step(td)
+    env.set_seed(0)
+    td = env.reset()
+    for one in alone:
+        one.reset()
+    delay = next(t for t in env.transform if hasattr(t, "lag"))
+    twin = next(one.transform[0] for one, n in zip(alone, order, strict=True) if n == "delay")
+    twin.lag = delay.lag.clone()
+    for _ in range(4):
+        td["action"] = torch.randn(2, 20)
+        data, td = env.step_and_maybe_reset(td)
+        command = data["next"].select("target")
+        for one in alone:
+            command = one.transform[0]._inv_call(command)
+        assert_close(seen[-1], command["control"])
+
+
+def test_nothing_that_belongs_to_one_step_stays_for_the_next():
+    """A wrench that stayed would be added to again."""
+    env = build(EVERYTHING)
+    td = env.reset()
+    td["action"] = torch.zeros(4, 20)
+    following = step_mdp(env.step(td))
+    assert ("push", "wrench") not in following.keys(True)
+    assert "control" not in following.keys()

@@ -1,0 +1,134 @@
+"""Tasks that grow harder with success."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+
+
+class Curriculum(Transform):
+    """Gives every world a level in [0, 1] that success raises, and moves other transforms by it.
+
+    An episode that reaches its time limit raises the level of its world by ``up``, one that ends
+    in a fall lowers it by ``down``. Each field follows its world's level through its stages. In
+    the table it comes after terminations and time limit.
+
+    Keys: reads ``done`` and ``terminated``, writes ``curriculum_level`` ``(N, 1)``.
+
+    Args:
+        env: the base env.
+        fields: ``transform.field: [first, ..., last]``: a number, or a pair of them, of a
+            transform of the table, by the name it has there (``push.size``,
+            ``noise.std.joint_position``), and its values at levels that are spread evenly over
+            [0, 1]; in between they are interpolated.
+        up: rise of the level after an episode without a fall.
+        down: its loss after a fall.
+        stepwise: whether to keep a stage's value until the next stage is reached.
+        level: at the beginning.
+
+    Raises:
+        ValueError: on a field that does not exist or is no number, or a bad level.
+    """
+
+    level: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        fields: Mapping[str, Sequence[Any]],
+        up: float = 0.05,
+        down: float = 0.05,
+        stepwise: bool = False,
+        level: float = 0.0,
+    ):
+        super().__init__()
+        if not 0.0 <= level <= 1.0:
+            raise ValueError(f"level must lie in [0, 1], got {level}.")
+        for name, value in (("up", up), ("down", down)):
+            if value < 0:
+                raise ValueError(f"{name} must not be negative, got {value}.")
+        self.fields = {}
+        for name, stages in fields.items():
+            if len(stages) < 2:
+                raise ValueError(f"fields.{name} must hold at least two stages, got {stages}.")
+            self.fields[name] = torch.tensor([list(s) if _pair(s) else s for s in stages]).float()
+        self.up, self.down, self.stepwise = up, down, stepwise
+        self._targets: dict[str, tuple[Any, str]] = {}
+        self.register_buffer("level", torch.full((env.num_envs,), level))
+        self.register_load_state_dict_post_hook(lambda module, _: module._move())
+
+    def attach(self, transforms: Mapping[str, Transform]) -> None:
+        """Finds the fields among the transforms of the table; called once by ``make_env``.
+
+        Raises:
+            ValueError: if one is not there or of another shape.
+        """
+        for name, stages in self.fields.items():
+            first, *middle, last = name.split(".")
+            if first not in transforms or not (middle or last):
+                raise ValueError(
+                    f"fields.{name} must begin with a transform of the table, one of "
+                    f"{', '.join(transforms)}."
+                )
+            owner: Any = transforms[first]
+            for part in middle:
+                owner = _read(owner, part, name)
+            value = _read(owner, last, name)
+            if isinstance(value, bool) or _pair(value) != (stages.dim() == 2):
+                raise ValueError(
+                    f"fields.{name} must hold values like {value!r}, got {stages.tolist()}."
+                )
+            self._targets[name] = (owner, last)
+        self._move()
+
+    def _move(self) -> None:
+        """Sets every field to the values of the worlds' levels, ``(N,)`` or ``(2, N)``."""
+        for name, (owner, field) in self._targets.items():
+            stages = self.fields[name]
+            place = self.level * (len(stages) - 1)
+            low = (place + 1e-6).floor().clamp_max(len(stages) - 1)
+            share = torch.zeros_like(place) if self.stepwise else (place - low).clamp_min(0.0)
+            below, above = stages[low.long()], stages[(low.long() + 1).clamp_max(len(stages) - 1)]
+            value = torch.lerp(below.movedim(0, -1), above.movedim(0, -1), share)
+            if isinstance(owner, dict):
+                owner[field] = value
+            else:
+                setattr(owner, field, value)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        done = next_tensordict["done"].squeeze(-1)
+        if done.any():  # moved at once, so that the coming reset draws from the new level
+            fell = next_tensordict["terminated"].squeeze(-1)
+            change = torch.where(fell, -torch.as_tensor(self.down), torch.as_tensor(self.up))
+            self.level = torch.where(done, (self.level + change).clamp(0.0, 1.0), self.level)
+            self._move()
+        return next_tensordict.set("curriculum_level", self.level[:, None])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.set("curriculum_level", self.level[:, None])
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["curriculum_level"] = Unbounded((len(self.level), 1))
+        return observation_spec
+
+
+def _pair(value: Any) -> bool:
+    return isinstance(value, (Sequence, Tensor)) and not isinstance(value, str) and len(value) == 2
+
+
+def _read(owner: Any, part: str, name: str) -> Any:
+    """A field of a transform or an entry of a table within it."""
+    there = owner if isinstance(owner, Mapping) else vars(owner)
+    if part not in there:
+        known = ", ".join(key for key in there if not str(key).startswith("_"))
+        raise ValueError(f"fields.{name}: there is no {part!r}, only {known}.")
+    return there[part]
