@@ -1,4 +1,4 @@
-"""Speed against the bare physics, all measured in one run: ``python -m recipes.bench``."""
+"""Speed against the bare physics and against peers, in one run: ``python -m recipes.bench``."""
 
 import json
 import os
@@ -20,51 +20,63 @@ from torchrl.envs import TransformedEnv
 
 from recipes.learner import Learner
 from recipes.one_line import check_keys, one_line_errors, start
+from recipes.peers import measure_peers
 
+FULL = "env=push_recovery_realistic"  # every kind of transform at once
 ROUNDS = 4  # every figure is measured in turn, several times: the machine's speed drifts
 
 
 @hydra.main(version_base=None, config_path=".", config_name="bench")
 def main(cfg: DictConfig) -> None:
     """Prints the ratios and writes ``bench.json`` into the run folder."""
-    with one_line_errors():
-        check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed"})
-        results = measure(cfg)
+    console = Console()
+    with one_line_errors(), console.status("setting up") as status:
+        check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed", "peers"})
+        results = measure(cfg, lambda name: status.update(f"measuring {name}"))
     folder = Path(HydraConfig.get().runtime.output_dir)
     (folder / "bench.json").write_text(json.dumps(results, indent=2))
     out = Table(title=f"{cfg.num_envs} worlds, {len(os.sched_getaffinity(0))} cores")
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():
-        speed = key in ("limit", "env", "train_mlp", "train_gru")
+        speed = key in ("limit", "env", "env_full", "train_mlp", "train_gru") or key.startswith(
+            "peer/"
+        )
         out.add_row(key, f"{value:.0f} control steps/s" if speed else f"{value:.3f}")
-    Console().print(out, f"wrote {folder}/bench.json")
+    console.print(out, f"wrote {folder}/bench.json")
 
 
-def measure(cfg: DictConfig) -> dict[str, float]:
-    """All figures, by the names of ``bench.json``."""
+def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
+    """All figures, by the names of ``bench.json``; ``report`` is told what is measured."""
     overrides = [f"{k}={cfg[k]}" for k in ("num_envs", "rollout_steps", "seed")]
     mlp = Learner(compose("train", overrides=overrides))
     gru = Learner(compose("train", overrides=[*overrides, "actor=gru_mog"]))
     env = instantiate(compose("train", overrides=overrides).env)
     mlp.learn(mlp.collect())  # warm up, and have a policy that moves
     gru.learn(gru.collect())
-    stepper = EnvStepper(env, mlp)
+    full = instantiate(compose("train", overrides=[*overrides, FULL]).env)
+    stepper, full_stepper = EnvStepper(env, mlp), EnvStepper(full, mlp)
     states, controls = stepper.record()
     tasks: dict[str, Callable[[float], float]] = {
         "limit": lambda seconds: bare_physics(env, states, controls, seconds),
         "env": stepper.run,
+        "env_full": full_stepper.run,
         "train_mlp": lambda seconds: train(mlp, seconds),
         "train_gru": lambda seconds: train(gru, seconds),
     }
     speeds: dict[str, list[float]] = {name: [] for name in tasks}
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         for name, task in tasks.items():
+            report(f"{name}, {turn + 1} of {ROUNDS}")
             speeds[name].append(task(cfg.seconds / ROUNDS))
     results = {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
-    for name in ("env", "train_mlp", "train_gru"):
+    for name in ("env", "env_full", "train_mlp", "train_gru"):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
-    return results | stepper.transform_shares(cfg.seconds / 2)
+    report("transforms")
+    results |= full_stepper.transform_shares(cfg.seconds / 2)
+    if cfg.peers:
+        results |= measure_peers(torch.stack(stepper.actions), cfg.seconds / 2, report)
+    return results
 
 
 def bare_physics(

@@ -4,6 +4,13 @@ import os
 import sys
 from ctypes.util import find_library
 
+import gymnasium
+
+TASKS = (
+    "push_recovery",
+    "push_recovery_realistic",
+)  # the tables of recipes/env that gymnasium knows by name
+
 
 def _choose_gl() -> None:
     """Picks an OpenGL without a screen for MuJoCo, which looks for one when it is imported."""
@@ -15,4 +22,16 @@ def _choose_gl() -> None:
             return
 
 
+def _register() -> None:
+    """Tells gymnasium of ``zfall/PushRecovery-v0`` and its like; nothing is built yet."""
+    for task in TASKS:
+        gymnasium.register(
+            f"zfall/{task.title().replace('_', '')}-v0",
+            entry_point="zfall.envs.gym:TaskEnv",
+            vector_entry_point="zfall.envs.gym:TaskVectorEnv",
+            kwargs={"task": task},
+        )
+
+
 _choose_gl()
+_register()

@@ -8,6 +8,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import Transform
 from torchrl.envs.utils import check_env_specs
 
+import zfall
 from zfall.envs.make import make_env
 from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
 from zfall.envs.transforms.observations import ObservationNoise
@@ -33,7 +34,7 @@ def table(**more: object) -> dict[str, object]:
     return {"action": action, **more, "delay": delay}
 
 
-@pytest.mark.parametrize("task", ["push_recovery"])
+@pytest.mark.parametrize("task", zfall.TASKS)
 def test_every_task_of_the_recipes_holds_its_specs(compose_config, task):
     cfg = compose_config(f"env={task}", "num_envs=3")
     check_env_specs(instantiate(cfg.env))

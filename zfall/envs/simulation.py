@@ -14,7 +14,7 @@ _INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_AP
 _CONSTANTS = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
 # No state or sensor of a sound world comes near it, in SI units; not a number is not below it.
-_BOUND = 1e6
+BOUND = 1e6
 
 
 def _largest(values: Tensor) -> Tensor:
@@ -97,7 +97,7 @@ class Simulation:
         largest = torch.maximum(_largest(self._sensors), _largest(self._states))
         passed = end[:, 0] - self._state[:, 0]  # a world that MuJoCo gave up on lags behind
         late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
-        self.diverged = ~(largest < _BOUND) | late
+        self.diverged = ~(largest < BOUND) | late
         self._state.copy_(end)
         return self._sensors
 

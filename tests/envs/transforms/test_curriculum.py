@@ -86,6 +86,7 @@ def test_a_restored_level_moves_the_fields(make_task):
 @pytest.mark.parametrize(("fields", "message"), [
     ({"kick.size": [0, 1]}, "fields.kick.size must begin with a transform of the table, one of action, push"),
     ({"push.strength": [0, 1]}, "fields.push.strength: there is no 'strength', only .*size"),
+    ({"push.axes.x": [0, 1]}, "fields.push.axes.x: there is no 'x', only null"),
     ({"push.size": [0.1, 0.2]}, r"fields.push.size must hold values like \[0.1, 0.2\], got"),
     ({"push.size": [[0.1, 0.2]]}, "fields.push.size must hold at least two stages"),
 ])  # fmt: skip

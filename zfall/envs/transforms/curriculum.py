@@ -127,8 +127,8 @@ def _pair(value: Any) -> bool:
 
 def _read(owner: Any, part: str, name: str) -> Any:
     """A field of a transform or an entry of a table within it."""
-    there = owner if isinstance(owner, Mapping) else vars(owner)
+    there = owner if isinstance(owner, Mapping) else getattr(owner, "__dict__", {})
     if part not in there:
         known = ", ".join(key for key in there if not str(key).startswith("_"))
-        raise ValueError(f"fields.{name}: there is no {part!r}, only {known}.")
+        raise ValueError(f"fields.{name}: there is no {part!r}, only {known or 'null'}.")
     return there[part]

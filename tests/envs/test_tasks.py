@@ -1,0 +1,62 @@
+"""Tasks by name."""
+
+from pathlib import Path
+
+import pytest
+from hydra import compose
+from torchrl.envs.utils import check_env_specs
+
+import zfall
+from zfall.envs.tasks import ACTION_LIMIT, action_bounds, build_task
+
+TABLES = {path.stem for path in (Path(__file__).parents[2] / "recipes" / "env").glob("*.yaml")}
+
+
+def test_every_table_has_a_name_in_gymnasium():
+    assert set(zfall.TASKS) == TABLES
+
+
+@pytest.mark.parametrize("training", [True, False])
+@pytest.mark.parametrize("task", sorted(TABLES))
+def test_every_task_is_built_by_its_name(task, training):
+    env = build_task(task, num_envs=2, training=training)
+    check_env_specs(env)
+    assert "observation_critic" not in env.observation_spec.keys()
+
+
+def test_number_of_worlds_is_not_that_of_the_table(compose_config):
+    assert build_task(compose_config("num_envs=7").env, num_envs=3).batch_size == (3,)
+
+
+def test_overrides_reach_the_table():
+    env = build_task("push_recovery", num_envs=1, overrides=["env.base_env.control_dt=0.02"])
+    assert env.base_env.control_dt == 0.02
+
+
+def test_overrides_to_a_table_are_refused(compose_config):
+    with pytest.raises(ValueError, match=r"overrides must be empty when task is a table"):
+        build_task(compose_config("num_envs=1").env, num_envs=1, overrides=["env.a=1"])
+
+
+def test_naming_a_task_leaves_the_hydra_around_it_alone(compose_config):
+    from hydra import initialize_config_module
+
+    with initialize_config_module("recipes", version_base=None):
+        build_task("push_recovery", num_envs=1)
+        assert compose("evaluate").battery == "planar"
+
+
+def test_no_servo_reaches_further_than_the_largest_action():
+    """The limit is no limit: it turns every servo from its reference to the end of its range."""
+    env = build_task("push_recovery", num_envs=1)
+    low, high = action_bounds(env)
+    assert (high == ACTION_LIMIT).all()
+    assert (low == -ACTION_LIMIT).all()
+    base = env.base_env
+    furthest = (base.joint_range - base.stand_position[:, None]).abs().max().item()
+    assert furthest <= 0.6 * ACTION_LIMIT
+
+
+def test_limit_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match=r"action_limit must be positive, got 0"):
+        action_bounds(build_task("push_recovery", num_envs=1), 0.0)

@@ -1,0 +1,95 @@
+"""The speed recipe and its peers."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from recipes import bench, peers
+from tests.test_recipes import run
+from zfall.envs.robots import ZEROTH01
+
+TINY = ["num_envs=8", "rollout_steps=4", "seconds=0.1"]
+
+
+def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "ROUNDS", 1)
+    done = run("bench", *TINY, "peers=false", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "bench.json").read_text())
+    assert {"limit", "env", "env_efficiency", "train_mlp_efficiency"} <= figures.keys()
+    assert all(isinstance(value, float) and value >= 0 for value in figures.values())
+    assert figures["env_efficiency"] == pytest.approx(figures["env"] / figures["limit"])
+    shares = [value for key, value in figures.items() if key.startswith("transform/")]
+    assert 0 < sum(shares) < 1
+    assert "env_efficiency" in done.stdout
+
+
+@pytest.mark.slow
+def test_bench_measures_the_peers_too(tmp_path):
+    done = run("bench", *TINY, f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "bench.json").read_text())
+    names = ("parallel_env_dm_control", "torchrl_mujoco_env", "gymnasium_async")
+    assert all(figures[f"peer/{name}"] > 0 for name in names)
+
+
+def test_best_number_of_workers_is_what_counts(monkeypatch):
+    """Speeds that fall, rise, or do neither with the number of workers."""
+    for name, speed in (("parallel_env_dm_control", 5.0), ("torchrl_mujoco_env", -1.0)):
+        run_one = lambda actions, seconds, speed=speed: 100.0 + speed * actions.shape[1]  # noqa: E731
+        monkeypatch.setattr(peers, f"run_{name}", run_one)
+    monkeypatch.setattr(peers, "run_gymnasium_async", lambda actions, seconds: 7.0)
+    monkeypatch.setattr(peers.os, "sched_getaffinity", lambda pid: range(2))
+    named = []
+    speeds = peers.measure_peers(torch.zeros(4, 16, 20), 0.1, named.append)
+    assert speeds == {
+        "peer/parallel_env_dm_control": 140.0,
+        "peer/torchrl_mujoco_env": 98.0,
+        "peer/gymnasium_async": 7.0,
+    }
+    assert named == list(speeds)
+
+
+def test_peer_of_gymnasium_does_the_same_work_and_stands():
+    env = peers.GymnasiumPeer()
+    env.reset(seed=0)
+    for _ in range(25):
+        state, *_, terminated, _, _ = env.step(np.zeros(20))
+    assert env.data.time == pytest.approx(1.0)  # ten steps of 4 ms each
+    assert not terminated
+    assert state[2] == pytest.approx(stand_height(), abs=0.02)
+
+
+def test_peer_of_torchrl_does_the_same_work_and_stands():
+    env = peers.TorchrlPeer.make(num_workers=1)
+    check_env_specs(env)
+    td = env.reset()
+    for _ in range(25):
+        td["action"] = torch.zeros(1, 20)
+        data, td = env.step_and_maybe_reset(td)
+    assert env.get_state()["time"].item() == pytest.approx(1.0)
+    assert not data["next", "terminated"].any()
+    assert data["next", "observation"][0, 2].item() == pytest.approx(stand_height(), abs=0.02)
+
+
+def test_peers_agree_with_each_other():
+    """The same physics in two libraries: TorchRL's keeps states in float32."""
+    one, other = peers.GymnasiumPeer(), peers.TorchrlPeer.make(num_workers=1)
+    one.reset()
+    other.reset()
+    td = other.reset()
+    actions = 0.1 * torch.randn(5, 1, 20)
+    for action in actions:
+        state = one.step(action[0].numpy())[0]
+        td["action"] = action
+        td = other.step_and_maybe_reset(td)[1]
+    np.testing.assert_allclose(td["observation"][0].numpy(), state, atol=2e-3)
+
+
+def stand_height() -> float:
+    import mujoco
+
+    return float(mujoco.MjModel.from_xml_path(ZEROTH01.mjcf).key("stand").qpos[2])

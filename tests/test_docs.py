@@ -1,0 +1,66 @@
+"""What the pages show works as shown."""
+
+import re
+import sys
+from inspect import isclass
+from pathlib import Path
+
+import pytest
+import yaml
+from hydra.utils import get_object
+from torchrl.envs import Transform
+
+from recipes.learner import Learner
+from zfall.envs.make import build_transform
+from zfall.envs.model import Ball
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "transforms.md").read_text()
+LINES = re.findall(r"`(\w+: \{_target_: \.\.\..*?\})` \|", PAGE)
+
+
+@pytest.mark.parametrize("line", LINES, ids=lambda line: line.split(":")[0])
+def test_every_line_of_yaml_makes_its_transform(make_base, line):
+    ((_, config),) = yaml.safe_load(line.replace("...", "zfall.envs.transforms.")).items()
+    env = make_base(physics_dt=0.005, ball=Ball(mass=0.2, radius=0.04))
+    made = get_object(config["_target_"])
+    assert isinstance(build_transform(config, env), made if isclass(made) else Transform)
+
+
+def test_the_page_shows_every_transform():
+    shown = set(re.findall(r"^\| `([\w.]+)`", PAGE, re.MULTILINE))
+    folder = ROOT / "zfall" / "envs" / "transforms"
+    there = set()
+    for path in folder.rglob("*.py"):
+        concept = path.relative_to(folder).parts[0].removesuffix(".py")
+        names = re.findall(r"^class (\w+)\(Transform\)", path.read_text(), re.MULTILINE)
+        there |= {f"{concept}.{name}" for name in names}
+    assert len(there) > 20
+    assert there <= shown
+
+
+def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
+    module, test = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "wind.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    space: dict = {}
+    exec("import torch\n" + test, space)
+    space["test_momentum_is_force_times_time"]()
+    sys.modules.pop("wind")
+
+
+def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_config):
+    module, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "wind.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    wind = "+env.transforms.wind={_target_:wind.SteadyWind,point:torso,force:2.0}"
+    sizes = ["num_envs=4", "rollout_steps=3", "minibatches=1", "epochs=1"]
+    learner = Learner(compose_config(wind, *sizes))
+    seen = []
+    base = learner.env.base_env
+    step = base._step
+    base._step = lambda td: seen.append(td["push", "wrench"].clone()) or step(td)
+    learner.learn(learner.collect())
+    body = base.push_targets["torso"]
+    assert all((wrench[:, :, body, 0] > 1.99).all() for wrench in seen)
+    sys.modules.pop("wind")

@@ -1,0 +1,88 @@
+"""Tasks by name: what all faces of an env make of a table."""
+
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+from hydra.utils import instantiate
+from numpy.typing import NDArray
+from torchrl.envs import Transform, TransformedEnv
+
+from zfall.envs.make import make_env
+
+Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
+
+# An action has no bounds of its own, other APIs ask for finite ones. With 0.6 rad for an action
+# of 1, this one turns any servo from its standing angle to the end of its range.
+ACTION_LIMIT = 5.25
+
+
+def build_task(
+    task: str | Table, *, num_envs: int, training: bool = True, overrides: Collection[str] = ()
+) -> TransformedEnv:
+    """The env of a task, without the observation that only a critic reads.
+
+    Args:
+        task: name of a table of ``recipes/env``, or a table.
+        num_envs: number of worlds, in place of the table's.
+        training: whether to keep what the table calls ``training_only``.
+        overrides: values to change in a table named, written as for ``recipes.train``:
+            ``env.transforms.push.duration=0.2``.
+
+    Raises:
+        ValueError: on an unknown name, or overrides to a table that is no name.
+    """
+    if isinstance(task, str):
+        task = _load_table(task, overrides)
+    elif overrides:
+        raise ValueError(f"overrides must be empty when task is a table, got {list(overrides)}.")
+    threads = {"threads": 1} if num_envs == 1 else {}
+    base = instantiate(task["base_env"], num_envs=num_envs, **threads, _convert_="all")
+    transforms = {k: v for k, v in task["transforms"].items() if not _is_for_critic(v)}
+    gone = task["transforms"].keys() - transforms.keys()
+    training_only = [name for name in task.get("training_only", []) if name not in gone]
+    return make_env(base, transforms, training_only=training_only, training=training)
+
+
+def action_bounds(
+    env: TransformedEnv, limit: float = ACTION_LIMIT
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Smallest and largest action of one world ``(J,)``, its own or ``limit`` if it has none.
+
+    Raises:
+        ValueError: if ``limit`` is not positive.
+    """
+    if not limit > 0:
+        raise ValueError(f"action_limit must be positive, got {limit}.")
+    space = env.full_action_spec["action"][0].space
+    low, high = space.low.clamp_min(-limit), space.high.clamp_max(limit)
+    return low.numpy(), high.numpy()
+
+
+def _is_for_critic(transform: Transform | Table) -> bool:
+    """It reads quantities of transforms that are left out when not training."""
+    return isinstance(transform, Mapping) and transform.get("out_key") == "observation_critic"
+
+
+def _load_table(name: str, overrides: Collection[str]) -> Table:
+    there = [path.name for path in (files("recipes") / "env").iterdir()]
+    names = sorted(f.removesuffix(".yaml") for f in there if f.endswith(".yaml"))
+    if name not in names:
+        raise ValueError(f"task must be one of {', '.join(names)}, got {name!r}.")
+    with _outside_hydra(), initialize_config_module("recipes", version_base=None):
+        return compose("train", overrides=[f"env={name}", "~experiment", *overrides]).env
+
+
+@contextmanager
+def _outside_hydra() -> Iterator[None]:
+    """Sets aside the hydra of the program around us: there can be only one at a time."""
+    outer = GlobalHydra.instance().hydra
+    GlobalHydra.instance().hydra = None
+    try:
+        yield
+    finally:
+        GlobalHydra.instance().hydra = outer
