@@ -23,7 +23,7 @@ test: $(READY)
 	$(RUN) -m pytest $(ARGS)
 
 slow-test: $(READY)
-	$(RUN) -m pytest -m slow $(ARGS)
+	$(RUN) -m pytest -m slow -s $(ARGS)
 
 lint: $(READY)
 	$(RUN) -m ruff check .

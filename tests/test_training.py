@@ -1,7 +1,10 @@
 """Real training: minutes each, run with ``make slow-test``."""
 
+import os
+
 import pandas as pd
 import pytest
+import torch
 
 from recipes.learner import Learner
 from zfall.evaluation.battery import load_battery, run_battery
@@ -17,6 +20,7 @@ def success(trials: pd.DataFrame) -> float:
 @pytest.mark.parametrize("actor", ["mlp_gaussian", "mlp_mog", "gru_mog"])
 def test_policy_learns_to_withstand_pushes_that_fell_the_held_pose(compose_config, actor):
     """Success at I = 0.4 over 12 directions x 5 starts, against servos that hold the pose."""
+    torch.set_num_threads(len(os.sched_getaffinity(0)))  # all cores, as in a run
     cfg = compose_config(f"actor={actor}")
     battery = load_battery("planar", impulses=[0.4], starts=5)
     baseline = success(run_battery(battery, cfg.env, None))
