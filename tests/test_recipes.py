@@ -110,20 +110,25 @@ def test_rows_of_metrics_keep_their_columns_when_no_episode_ends(tmp_path):
 
 
 EVENTFUL = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seconds=0.3"]
+REALISTIC = "env=push_recovery_realistic"  # all transforms at once
 
 
-@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
-def test_stopped_and_resumed_run_equals_the_one_not_stopped(actor, tmp_path):
+@pytest.mark.parametrize("part", ["actor=mlp_gaussian", "actor=gru_mog", REALISTIC])
+def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    common = [*TINY, *EVENTFUL, f"actor={actor}"]
+    common = [*TINY, *EVENTFUL, part]
     assert run("train", *common, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
     assert run("train", *common, "total_frames=64", f"hydra.run.dir={parts}").returncode == 0
     with (parts / "metrics.csv").open("a") as file:
         file.write("3,96,half a row")
     done = run("train", f"resume={parts}", "total_frames=128", f"hydra.run.dir={tmp_path}/x")
     assert done.returncode == 0, done.stderr
-    assert pd.read_csv(whole / "metrics.csv")["episodes"].sum() > 0
+    metrics = pd.read_csv(whole / "metrics.csv")
+    assert metrics["episodes"].sum() > 0
+    if part == REALISTIC:  # what was drawn and how hard the task is are logged
+        assert metrics["params/foot_friction"].between(0.5, 1.5).all()
+        assert metrics["curriculum/level"].iloc[-1] > 0
     assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
 
 

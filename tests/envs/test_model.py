@@ -101,3 +101,24 @@ def test_push_point_on_an_unknown_link_is_refused_with_a_list():
         ValueError, match=r"push_points.tail: body must be one of .*Top_Brace.* got"
     ):
         compile_model(ZEROTH01, physics_dt=0.004, push_points={"tail": PushPoint(body="Tail")})
+
+
+def test_a_push_point_at_a_site_lies_where_the_site_lies():
+    model = compile_model(
+        ZEROTH01, physics_dt=0.004, push_points={"sole": PushPoint(site="left_sole")}
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
+    mujoco.mj_kinematics(model, data)
+    point, site = data.body("push_point/sole"), data.site("left_sole")
+    np.testing.assert_allclose(point.xipos, site.xpos, atol=1e-12)
+
+
+@pytest.mark.parametrize(("point", "message"), [
+    (PushPoint(site="tail"), "push_points.x: site must be one of .*left_sole.*got 'tail'"),
+    (PushPoint(), "push_points.x: give just one of body and site"),
+    (PushPoint(body="Top_Brace", site="imu"), "give just one of body and site"),
+])  # fmt: skip
+def test_push_points_that_are_nowhere_are_refused(point, message):
+    with pytest.raises(ValueError, match=message):
+        compile_model(ZEROTH01, physics_dt=0.004, push_points={"x": point})

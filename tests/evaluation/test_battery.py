@@ -6,7 +6,14 @@ import pytest
 import torch
 
 from recipes.learner import Learner
-from zfall.evaluation.battery import load_battery, plan_trials, push_forces, run_battery
+from zfall.envs.transforms.pushes import ScriptedPush
+from zfall.evaluation.battery import (
+    battery_env,
+    load_battery,
+    plan_trials,
+    push_forces,
+    run_battery,
+)
 
 SMALL = {"impulses": [0.1, 0.9], "starts": 2, "directions": 4, "end_time": 5.0}
 
@@ -38,6 +45,18 @@ def test_unknown_battery_and_option_are_refused():
         load_battery("linear")
     with pytest.raises(ValueError, match="options of battery planar are .*point.*got pont"):
         load_battery("planar", pont="torso")
+
+
+def test_a_battery_runs_on_the_nominal_robot_with_its_own_pushes_alone(compose_config):
+    cfg = compose_config("env=push_recovery_realistic").env
+    env, _, _ = battery_env(load_battery("planar"), cfg, 2)
+    base = env.base_env
+    env.reset()
+    assert all(model is base.simulation.model for model in base.simulation._models)
+    made = {type(t).__name__ for t in env.transform}
+    assert made.isdisjoint({"RandomPush", "VelocityKick", "ThrownBall", "ObservationNoise"})
+    assert made.isdisjoint({"ActuatorDelay", "DomainRandomization", "Curriculum", "NoisyStart"})
+    assert sum(isinstance(t, ScriptedPush) for t in env.transform) == 1
 
 
 @pytest.fixture(scope="module")

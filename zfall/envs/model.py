@@ -53,14 +53,9 @@ def compile_model(
     spec.option.timestep = physics_dt
     _check(spec, robot)
     plain = spec.compile()
-    links = [body.name for body in spec.bodies if body.name != "world"]
     for name, point in {**robot.push_points, **(push_points or {})}.items():
-        if point.body not in links:
-            raise ValueError(
-                f"push_points.{name}: body must be one of {', '.join(links)}, got {point.body!r}."
-            )
-        offset = _in_link_axes(plain, point)
-        body = spec.body(point.body).add_body(name=_POINT + name, pos=offset)
+        link, place = _place_of(spec, plain, name, point)
+        body = link.add_body(name=_POINT + name, pos=place)
         # Forces act at the inertial frame: MuJoCo would put that of a body without mass elsewhere.
         body.explicitinertial, body.mass, body.ipos = True, 0.0, [0.0, 0.0, 0.0]
     if ball is not None:
@@ -113,14 +108,35 @@ def _add_ball(spec: mujoco.MjSpec, ball: Ball) -> None:
         key.qpos = np.concatenate([key.qpos, place, [1.0, 0.0, 0.0, 0.0]])
 
 
-def _in_link_axes(model: mujoco.MjModel, point: PushPoint) -> list[float]:
-    """Position of a push point in its link's frame, from an offset in the root link's axes."""
+def _place_of(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, point: PushPoint
+) -> tuple[mujoco.MjsBody, list[float]]:
+    """The link of a push point and its position in that link's frame [m].
+
+    An offset is given in the root link's axes. Raises ``ValueError`` on what does not exist.
+    """
+    if (point.body is None) == (point.site is None):
+        raise ValueError(f"push_points.{name}: give just one of body and site.")
+    if point.site is not None:
+        site = spec.site(point.site)
+        if site is None:
+            there = ", ".join(site.name for site in spec.sites if site.name)
+            raise ValueError(
+                f"push_points.{name}: site must be one of {there}, got {point.site!r}."
+            )
+        return site.parent, list(site.pos)
+    links = [body.name for body in spec.bodies if body.name != "world"]
+    if point.body not in links:
+        raise ValueError(
+            f"push_points.{name}: body must be one of {', '.join(links)}, got {point.body!r}."
+        )
+    link = spec.body(point.body)
     if point.offset is None:
-        return [0.0, 0.0, 0.0]
+        return link, [0.0, 0.0, 0.0]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)  # at qpos0 the root link's axes are those of the world
     axes = data.body(point.body).xmat.reshape(3, 3)
-    return list(model.body(point.body).ipos + axes.T @ point.offset)
+    return link, list(model.body(point.body).ipos + axes.T @ point.offset)
 
 
 def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
