@@ -1,0 +1,138 @@
+"""The support polygon: convex hull of the corners of the soles that touch the floor."""
+
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.robots import Robot
+from zfall.envs.rotations import rotate
+
+_FLAT = 1e-6  # [m]: closer to a line than this, a point counts as on it
+
+
+class Hull(NamedTuple):
+    """Convex hulls of K points each.
+
+    Attributes:
+        points: the points ``(*B, K, 2)`` [m].
+        used: which of them count ``(*B, K)`` bool.
+        edges: whether the hull runs straight from point i to point j, counterclockwise
+            ``(*B, K, K)`` bool.
+    """
+
+    points: Tensor
+    used: Tensor
+    edges: Tensor
+
+
+def sole_corners(td: TensorDictBase, robot: Robot) -> Tensor:
+    """Corners of the soles ``(*B, 2, 4, 3)`` [m; world], in the order of ``robot.corners``.
+
+    Reads ``feet_position`` ``(*B, 2, 3)`` [m] and ``feet_orientation`` ``(*B, 2, 4)``.
+    """
+    length, width = robot.sole_half_size
+    signs = [(1 if "front" in c else -1, 1 if "left" in c else -1) for c in robot.corners]
+    position = td["feet_position"]
+    local = position.new_tensor([[x * length, y * width, 0.0] for x, y in signs])
+    quaternion = td["feet_orientation"].unsqueeze(-2).expand(*position.shape[:-1], len(signs), 4)
+    return position.unsqueeze(-2) + rotate(quaternion, local.expand(*quaternion.shape[:-1], 3))
+
+
+def support_hull(td: TensorDictBase, robot: Robot) -> Hull:
+    """Support polygon ``(*B, 8, ...)`` from the corners under load, see ``convex_hull``.
+
+    Reads ``feet_position``, ``feet_orientation`` and ``feet_corner_force`` ``(*B, 2, 4)`` [N].
+    """
+    corners = sole_corners(td, robot)[..., :2].flatten(-3, -2)
+    return convex_hull(corners, td["feet_corner_force"].flatten(-2) > 0)
+
+
+def convex_hull(points: Tensor, used: Tensor) -> Hull:
+    """Convex hulls of points, all worlds at once.
+
+    The hull runs from point i to point j if every other point lies to the left of that line, or
+    on it between the two: the edges are the maximal ones.
+
+    Args:
+        points: ``(*B, K, 2)`` [m].
+        used: which of them count ``(*B, K)`` bool.
+    """
+    # The mean is taken off first: coordinates of a few centimeters keep float32 exact enough.
+    weight = used.unsqueeze(-1).to(points.dtype)
+    center = (points * weight).sum(-2, keepdim=True) / weight.sum(-2, keepdim=True).clamp_min(1.0)
+    local = points - center
+    along = local.unsqueeze(-3) - local.unsqueeze(-2)  # from i to j (*B, K, K, 2)
+    length = along.norm(dim=-1)
+    direction = along / length.clamp_min(1e-9).unsqueeze(-1)
+    offset = local[..., None, None, :, :] - local[..., :, None, None, :]  # from i to k
+    left = (
+        direction[..., None, 0] * offset[..., 1] - direction[..., None, 1] * offset[..., 0]
+    )  # (*B, i, j, k)
+    share = (direction.unsqueeze(-2) * offset).sum(-1)
+    within = (share > -_FLAT) & (share < length.unsqueeze(-1) + _FLAT)
+    fine = (left > _FLAT) | ((left.abs() <= _FLAT) & within)
+    fine = fine | ~used[..., None, None, :]
+    edges = fine.all(-1) & (length > _FLAT) & used[..., :, None] & used[..., None, :]
+    return Hull(points, used, edges)
+
+
+def distance_inside(hull: Hull, point: Tensor) -> Tensor:
+    """Distance of points from the border of a hull, negative outside.
+
+    Args:
+        hull: of each world.
+        point: ``(*B, 2)`` [m].
+
+    Returns:
+        ``(*B,)`` [m]; inside, the distance from the nearest edge, outside minus that from the
+        nearest point of the hull; minus infinity where the hull has no point.
+    """
+    start = hull.points.unsqueeze(-2)  # i (*B, K, 1, 2)
+    along = hull.points.unsqueeze(-3) - start
+    length = along.norm(dim=-1).clamp_min(1e-9)
+    direction = along / length.unsqueeze(-1)
+    offset = point[..., None, None, :] - start
+    left = direction[..., 0] * offset[..., 1] - direction[..., 1] * offset[..., 0]
+    place = (direction * offset).sum(-1).clamp_min(0.0)
+    nearest = start + torch.minimum(place, length).unsqueeze(-1) * direction
+    away = (point[..., None, None, :] - nearest).norm(dim=-1)
+    inf = float("inf")
+    depth = torch.where(hull.edges, left, inf).flatten(-2).amin(-1)
+    outside = torch.where(hull.edges, away, inf).flatten(-2).amin(-1)
+    single = torch.where(hull.used, (point.unsqueeze(-2) - hull.points).norm(dim=-1), inf)
+    outside = torch.minimum(outside, single.amin(-1))
+    has_area = hull.edges.sum((-2, -1)) > 2
+    return torch.where(has_area & (depth >= 0), depth, -outside)
+
+
+def hull_center(hull: Hull) -> Tensor:
+    """Centroid of the area of each hull ``(*B, 2)`` [m].
+
+    Mean of the points where they span no area, zero where there is none.
+    """
+    weight = hull.used.unsqueeze(-1).to(hull.points.dtype)
+    mean = (hull.points * weight).sum(-2) / weight.sum(-2).clamp_min(1.0)
+    local = hull.points - mean.unsqueeze(-2)
+    one, two = local.unsqueeze(-2), local.unsqueeze(-3)
+    twice = torch.where(hull.edges, one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0], 0.0)
+    moment = (twice.unsqueeze(-1) * (one + two)).flatten(-3, -2).sum(-2)
+    area = twice.flatten(-2).sum(-1, keepdim=True)  # twice of it
+    flat = area < 1e-8
+    return mean + torch.where(flat, 0.0, moment / (3.0 * area).masked_fill(flat, 1.0))
+
+
+def com_in_support(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, margin: float
+) -> Tensor:
+    """1 where the center of mass lies above the support polygon, shrunk by ``margin`` [m].
+
+    Only in double support, 0 else. Reads ``com_position`` ``(*B, 3)`` [m], ``feet_contact`` and
+    what ``support_hull`` reads. Returns ``(*B, 1)``.
+
+    Source: Ferigo et al., RA-L 2021, section IV-C (CoM projection).
+    """
+    depth = distance_inside(support_hull(next_td, robot), next_td["com_position"][..., :2])
+    both = next_td["feet_contact"].all(-1)
+    return ((depth >= margin) & both).float().unsqueeze(-1)
