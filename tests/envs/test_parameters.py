@@ -67,6 +67,27 @@ def test_a_heavier_robot_presses_harder_on_the_floor(make_task, make_base):
     assert_close(weight, 9.81 * 3.3494 * torch.tensor([1.0, 1.3]), rtol=5e-3, atol=0)
 
 
+def test_momentum_counts_the_mass_of_its_world(make_base):
+    """Thrown at 1 m/s without gravity: p = m v with 3.3494 kg, 1.3 times that, and 0.5 kg more."""
+    base = make_base(num_envs=3)
+    base.simulation.model.opt.gravity[:] = 0
+    masses = torch.ones(3, len(base.parameters.links))
+    masses[1] = 1.3
+    payload = torch.zeros(3, len(base.parameters.push_points))
+    payload[2, 0] = 0.5
+    base.set_physics_params(values(base, link_mass=masses, payload=payload))
+    td = base.reset()
+    base.simulation.qpos[:, 2] = 2.0
+    base.simulation.qvel[:, 0] = 1.0
+    td["target"] = base.stand_position.expand(3, 20)
+    td = base.step(td)["next"]
+    expected = torch.tensor([3.3494, 1.3 * 3.3494, 3.8494])
+    assert_close(td["linear_momentum"][:, 0], expected, rtol=1e-3, atol=0)
+    restored = make_base(num_envs=3)
+    restored.load_state_dict(base.state_dict())
+    assert_close(restored.parameters.mass, base.parameters.mass)
+
+
 def test_on_a_slope_the_feet_feel_gravity_from_the_side(make_base):
     """Standing on a floor that falls by 0.1 rad forward: F_x = -m g sin(0.1) from the floor."""
     base = make_base(num_envs=2)

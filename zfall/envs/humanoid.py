@@ -266,13 +266,14 @@ class HumanoidEnv(EnvBase):
         """
         qpos, qvel = self.simulation.qpos, self.simulation.qvel
         if rows is None:
-            out = self._quantities(qpos, qvel, sensors, self.parameters.gravity)
+            parameters = self.parameters
+            out = self._quantities(qpos, qvel, sensors, parameters.gravity, parameters.mass)
             if self._recorded:
                 out["substeps"] = self._substeps(sensors, slice(None))
         else:  # the sensor values are the same in all steps of the new rows
-            gravity = self.parameters.gravity
-            gravity = None if gravity is None else gravity[rows]
-            new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:], gravity)
+            parameters = (self.parameters.gravity, self.parameters.mass)
+            gravity, mass = (None if value is None else value[rows] for value in parameters)
+            new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:], gravity, mass)
             if self._recorded:
                 new["substeps"] = self._substeps(sensors, rows)
             out = TensorDict(

@@ -71,6 +71,7 @@ class PhysicsParameters:
         self.values["foot_friction"] *= float(model.geom_friction[self._foot[0], 0])
         self.values |= {name: torch.zeros(num_envs, width) for name, width in zeros.items()}
         self.gravity: Tensor | None = None  # its direction (N, 3), once a slope was set
+        self.mass: Tensor | None = None  # of the robots (N, 1) [kg], once it differs
         shapes = {name: Unbounded(value.shape) for name, value in self.values.items()}
         self.spec = Composite(shapes, shape=(num_envs,))
 
@@ -99,6 +100,10 @@ class PhysicsParameters:
         changed = {name for name in values if not torch.equal(self.values[name], before[name])}
         if "slope" in values and (self.gravity is not None or values["slope"][rows].any()):
             self.gravity = _downhill(self.values["slope"])
+        if changed & {"link_mass", "payload"}:
+            links = self._nominal["body_mass"][self._link].float()
+            payload = self.values["payload"].sum(-1, keepdim=True)
+            self.mass = (links * self.values["link_mass"]).sum(-1, keepdim=True) + payload
         return self._fields(changed, rows)
 
     def state_dict(self) -> dict[str, Tensor]:

@@ -68,7 +68,12 @@ class Quantities:
             self._region[places, torch.arange(3) * num + index] = 1.0
 
     def __call__(
-        self, qpos: Tensor, qvel: Tensor, sensors: Tensor, gravity: Tensor | None = None
+        self,
+        qpos: Tensor,
+        qvel: Tensor,
+        sensors: Tensor,
+        gravity: Tensor | None = None,
+        mass: Tensor | None = None,
     ) -> TensorDict:
         """Quantities ``(K, ...)`` float32 of K worlds.
 
@@ -76,6 +81,7 @@ class Quantities:
             qpos, qvel: states at the end of a control step, float64.
             sensors: sensor values of its S physics steps ``(K, S, nsensordata)``.
             gravity: direction of gravity ``(K, 3)`` [world] if the floor is not level.
+            mass: total mass ``(K, 1)`` [kg] if it differs from world to world.
         """
         qpos, qvel, values = qpos.float(), qvel.float(), sensors.float()
         last, orientation = values[:, -1], qpos[:, 3:7].contiguous()
@@ -94,7 +100,7 @@ class Quantities:
             "contact_force_peak": self._peak_force(values),
         }
         out |= {key: last[:, columns] for key, columns in self._last.items()}
-        out["linear_momentum"] = self.mass * out["com_velocity"]
+        out["linear_momentum"] = (self.mass if mass is None else mass) * out["com_velocity"]
         contact = last[:, self._contact]  # found, force of the foot on the floor, its center
         touching = contact[..., 0] > 0
         from_center = contact[..., 4:7] - out["feet_position"]
