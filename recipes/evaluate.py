@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import table
 from zfall import checkpoint
+from zfall.envs.make import left_out
 from zfall.evaluation.battery import Battery, load_battery, run_battery
 from zfall.evaluation.plots import success_map
 from zfall.evaluation.statistics import summarize
@@ -38,8 +39,8 @@ def main(cfg: DictConfig) -> None:
         folder = run / "evaluation" / cfg.battery
         folder.mkdir(parents=True, exist_ok=True)
     console = Console()
-    left_out = ", ".join(OmegaConf.select(env_cfg, "training_only", default=[])) or "nothing"
-    console.print(f"{battery.name} of {cfg.run}; of the env's transforms left out: {left_out}")
+    gone = ", ".join(left_out(OmegaConf.select(env_cfg, "training_only", default={}))) or "nothing"
+    console.print(f"{battery.name} of {cfg.run}; of the env's transforms left out: {gone}")
     trials = evaluate(battery, env_cfg, actor, cfg, console, servos=cfg.run != "limp")
     baseline = None
     if cfg.run not in BASELINES:

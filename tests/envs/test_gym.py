@@ -26,7 +26,7 @@ def table(compose_config):
             "_target_": "zfall.envs.transforms.starts.ScriptedStart",
             "states": {"base_orientation": orientation},
         }
-        out = {k: v for k, v in cfg.transforms.items() if k not in cfg.training_only}
+        out = {k: v for k, v in cfg.transforms.items() if not cfg.training_only.get(k)}
         return {"base_env": cfg.base_env, "transforms": out | {"start": start}}
 
     return build

@@ -54,6 +54,48 @@ def test_masses_and_payload_give_the_model_that_compiling_them_gives(make_base):
         np.testing.assert_array_equal(getattr(untouched, field), getattr(plain, field))
 
 
+def test_joints_servos_and_friction_give_the_model_that_editing_the_mjcf_gives(make_base):
+    base = make_base(num_envs=1)
+    joints, links = torch.ones(1, 20), len(base.parameters.links)
+    given = values(
+        base,
+        joint_friction_loss=1.5 * joints,
+        joint_damping=0.7 * joints,
+        servo_stiffness=1.2 * joints,
+        servo_torque_limit=0.9 * joints,
+        battery_voltage=torch.full((1, 1), 0.8),
+        floor_friction=torch.full((1, 1), 0.6),
+        foot_friction=torch.full((1, 1), 0.3),
+        com_offset=torch.tensor([[0.01, 0.0, -0.02]]).repeat(1, links),
+    )
+    base.set_physics_params(given)
+    spec = mujoco.MjSpec.from_file(ZEROTH01.mjcf)
+    plain = compile_model(ZEROTH01, physics_dt=0.004)
+    for joint in spec.joints[1:]:
+        joint.frictionloss = 1.5 * float(plain.joint(joint.name).frictionloss[0])
+        joint.damping[0] = 0.7 * float(plain.joint(joint.name).damping[0])
+    for servo in spec.actuators:
+        kp = 1.2 * 0.8 * float(plain.actuator(servo.name).gainprm[0])
+        servo.gainprm[0], servo.biasprm[1] = kp, -kp
+        servo.forcerange = 0.9 * 0.8 * plain.actuator(servo.name).forcerange
+    for geom in spec.geoms:
+        geom.friction[0] = 0.3 if geom.name in ("left_foot", "right_foot") else 0.6
+    for body in spec.bodies[1:]:
+        if plain.body(body.name).mass[0] > 0:
+            body.explicitinertial = True
+            body.ipos = np.add(plain.body(body.name).ipos, [0.01, 0.0, -0.02])
+    expected, ours = spec.compile(), base.simulation._models[0]
+    for field in ("dof_frictionloss", "dof_damping", "actuator_gainprm", "actuator_biasprm"):
+        np.testing.assert_allclose(
+            getattr(ours, field), getattr(expected, field), rtol=1e-6, err_msg=field
+        )
+    np.testing.assert_allclose(ours.actuator_forcerange, expected.actuator_forcerange)
+    np.testing.assert_allclose(ours.geom_friction, expected.geom_friction)
+    for body in spec.bodies[1:]:
+        mine, other = ours.body(body.name), expected.body(body.name)
+        np.testing.assert_allclose(mine.ipos, other.ipos, atol=1e-8)  # values are float32
+
+
 def test_a_heavier_robot_presses_harder_on_the_floor(make_task, make_base):
     base = make_base(num_envs=2)
     masses = torch.ones(2, len(base.parameters.links))

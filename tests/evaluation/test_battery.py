@@ -56,6 +56,7 @@ def test_a_battery_runs_on_the_nominal_robot_with_its_own_pushes_alone(compose_c
     made = {type(t).__name__ for t in env.transform}
     assert made.isdisjoint({"RandomPush", "VelocityKick", "ThrownBall", "ObservationNoise"})
     assert made.isdisjoint({"ActuatorDelay", "DomainRandomization", "Curriculum", "NoisyStart"})
+    assert made >= {"ServoPlanner", "LowPass", "Deadband", "Backlash"}  # the robot's own
     assert sum(isinstance(t, ScriptedPush) for t in env.transform) == 1
 
 

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Collection
+from numbers import Integral
 from typing import Any
 
 import gymnasium
@@ -139,7 +140,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
     ) -> tuple[Array, Info]:
         """Begins an episode in every world."""
         _refuse(options)
-        if seed is not None and not isinstance(seed, int):
+        if seed is not None and not isinstance(seed, Integral):
             raise ValueError(f"seed must be one number for all worlds, got {seed}.")
         super().reset(seed=seed)
         if seed is not None or not self._seeded:

@@ -36,7 +36,7 @@ class HumanoidEnv(EnvBase):
     control step; if that key is absent, ``target`` ``(N, J)``, held for the whole step. Reads
     ``("push", "wrench")`` ``(N, S, bodies, 6)`` [N, N m; world axes] if present; ``push_targets``
     gives the index of each link and push point. Two keys change the state before the step, if
-    present: ``("push", "velocity_kick")`` ``(N, 3)`` [m/s; world] is added to the base's velocity,
+    present: ``("push", "kick")`` ``(N, 3)`` [m/s; world] is added to the base's velocity,
     and ``("ball", "launch")`` ``(N, 1)`` says where the ball is put to ``("ball", "start")``.
 
     Writes the keys below (float32). Positions and velocities of joints and base are those at
@@ -238,7 +238,7 @@ class HumanoidEnv(EnvBase):
 
     def _disturb(self, tensordict: TensorDictBase) -> None:
         """Changes states at once, before the step: kicks and balls."""
-        kick = tensordict.get(("push", "velocity_kick"), None)
+        kick = tensordict.get(("push", "kick"), None)
         if kick is not None:
             self.simulation.qvel[:, :3] += kick
         launch = tensordict.get(("ball", "launch"), None)
@@ -247,6 +247,8 @@ class HumanoidEnv(EnvBase):
             start = tensordict["ball", "start"][rows].double()
             self.simulation.qpos[rows, places] = start[:, :3]
             self.simulation.qvel[rows, speeds] = start[:, 3:]
+            spin = slice(speeds.stop, speeds.stop + 3)  # what the last throw left
+            self.simulation.qvel[rows, spin] = 0.0
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
@@ -271,8 +273,8 @@ class HumanoidEnv(EnvBase):
             if self._recorded:
                 out["substeps"] = self._substeps(sensors, slice(None))
         else:  # the sensor values are the same in all steps of the new rows
-            parameters = (self.parameters.gravity, self.parameters.mass)
-            gravity, mass = (None if value is None else value[rows] for value in parameters)
+            own = (self.parameters.gravity, self.parameters.mass)
+            gravity, mass = (None if value is None else value[rows] for value in own)
             new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:], gravity, mass)
             if self._recorded:
                 new["substeps"] = self._substeps(sensors, rows)

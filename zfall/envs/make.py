@@ -15,7 +15,7 @@ def make_env(
     base_env: EnvBase | Mapping[str, Any],
     transforms: Mapping[str, Transform | Mapping[str, Any]],
     *,
-    training_only: Collection[str] = (),
+    training_only: Mapping[str, bool] | Collection[str] = (),
     training: bool = True,
 ) -> TransformedEnv:
     """Builds an env whose transforms run in the order of the table, which is that of the data.
@@ -30,12 +30,13 @@ def make_env(
             ``env`` is given the base env; one with a method ``attach`` is called with the table
             of all that were built.
         training_only: names of transforms that evaluation leaves out: pushes, noise, delays,
-            randomisation.
+            randomisation; or a table ``name: true``.
         training: whether to keep them.
 
     Raises:
         ValueError: if ``training_only`` names a transform that is not in the table.
     """
+    training_only = left_out(training_only)
     unknown = [name for name in training_only if name not in transforms]
     if unknown:
         raise ValueError(
@@ -51,6 +52,13 @@ def make_env(
     before = [transform for transform in built.values() if transform.in_keys_inv]
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     return TransformedEnv(env, Compose(*reversed(before), *after))
+
+
+def left_out(training_only: Mapping[str, bool] | Collection[str]) -> list[str]:
+    """Names of the transforms that evaluation leaves out."""
+    if isinstance(training_only, Mapping):
+        return [name for name, only in training_only.items() if only]
+    return list(training_only)
 
 
 def build_transform(transform: Transform | Mapping[str, Any], env: HumanoidEnv) -> Transform:

@@ -8,7 +8,7 @@ import numpy as np
 from zfall.envs.robots import PushPoint, Robot
 
 _POINT = "push_point/"  # prefix of the massless bodies that stand for push points
-_PARKED = (50.0, 0.0)  # where a ball waits on the floor, out of reach [m]
+_PARKED = (1000.0, 0.0)  # where a ball waits on the floor, out of reach [m]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,8 +70,8 @@ class PhysicsParameters:
         self.values["floor_friction"] *= float(model.geom("floor").friction[0])
         self.values["foot_friction"] *= float(model.geom_friction[self._foot[0], 0])
         self.values |= {name: torch.zeros(num_envs, width) for name, width in zeros.items()}
-        self.gravity: Tensor | None = None  # its direction (N, 3), once a slope was set
-        self.mass: Tensor | None = None  # of the robots (N, 1) [kg], once it differs
+        self.gravity: Tensor | None = None  # its direction (N, 3) if any floor is not level
+        self.mass: Tensor | None = None  # of the robots (N, 1) [kg] if any is not the nominal one
         shapes = {name: Unbounded(value.shape) for name, value in self.values.items()}
         self.spec = Composite(shapes, shape=(num_envs,))
 
@@ -98,12 +98,13 @@ class PhysicsParameters:
                 )
             self.values[name] = torch.where(rows[:, None], value.float(), self.values[name])
         changed = {name for name in values if not torch.equal(self.values[name], before[name])}
-        if "slope" in values and (self.gravity is not None or values["slope"][rows].any()):
-            self.gravity = _downhill(self.values["slope"])
-        if changed & {"link_mass", "payload"}:
+        slope, payload = self.values["slope"], self.values["payload"]
+        self.gravity = _downhill(slope) if slope.any() else None
+        self.mass = None
+        if payload.any() or (self.values["link_mass"] != 1.0).any():
             links = self._nominal["body_mass"][self._link].float()
-            payload = self.values["payload"].sum(-1, keepdim=True)
-            self.mass = (links * self.values["link_mass"]).sum(-1, keepdim=True) + payload
+            own = (links * self.values["link_mass"]).sum(-1, keepdim=True)
+            self.mass = own + payload.sum(-1, keepdim=True)
         return self._fields(changed, rows)
 
     def state_dict(self) -> dict[str, Tensor]:

@@ -12,7 +12,7 @@ from hydra.utils import instantiate
 from numpy.typing import NDArray
 from torchrl.envs import Transform, TransformedEnv
 
-from zfall.envs.make import make_env
+from zfall.envs.make import left_out, make_env
 
 Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
 
@@ -44,7 +44,7 @@ def build_task(
     base = instantiate(task["base_env"], num_envs=num_envs, **threads, _convert_="all")
     transforms = {k: v for k, v in task["transforms"].items() if not _is_for_critic(v)}
     gone = task["transforms"].keys() - transforms.keys()
-    training_only = [name for name in task.get("training_only", []) if name not in gone]
+    training_only = [name for name in left_out(task.get("training_only", {})) if name not in gone]
     return make_env(base, transforms, training_only=training_only, training=training)
 
 

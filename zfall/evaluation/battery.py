@@ -127,8 +127,8 @@ def battery_env(
         plan=torch.zeros(num_envs, 3),
     )
     table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
-    training_only = OmegaConf.select(cfg, "training_only", default=[])
-    env = make_env(base, table, training_only=list(training_only), training=False)
+    training_only = OmegaConf.select(cfg, "training_only", default={})
+    env = make_env(base, table, training_only=training_only, training=False)
     return env, start, push
 
 

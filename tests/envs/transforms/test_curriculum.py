@@ -88,6 +88,8 @@ def test_a_restored_level_moves_the_fields(make_task):
     ({"push.strength": [0, 1]}, "fields.push.strength: there is no 'strength', only .*size"),
     ({"push.axes.x": [0, 1]}, "fields.push.axes.x: there is no 'x', only null"),
     ({"push.size": [0.1, 0.2]}, r"fields.push.size must hold values like \[0.1, 0.2\], got"),
+    ({"push.force": [1, 2]}, "fields.push.force must be a number or a pair, it is None"),
+    ({"push.direction": [0, 1]}, "must be a number or a pair, it is 'planar'"),
     ({"push.size": [[0.1, 0.2]]}, "fields.push.size must hold at least two stages"),
 ])  # fmt: skip
 def test_bad_fields_are_refused(make_task, fields, message):
@@ -95,12 +97,39 @@ def test_bad_fields_are_refused(make_task, fields, message):
         course(make_task, fields)
 
 
-@pytest.mark.parametrize("preset", [
-    *(f"push=zf_{stage}" for stage in ("easy", "medium", "hard", "kneel")),
-    *("push=icub", "push=atalante", "randomization=zf", "randomization=icub"),
-])  # fmt: skip
+PRESETS = {
+    **{f"push=zf_{stage}": [] for stage in ("easy", "medium", "hard", "kneel")},
+    **{f"push={name}": [] for name in ("icub", "atalante")},
+    **{f"randomization={name}": [] for name in ("zf", "icub")},
+    "curriculum=zf": ["+push=zf_easy"],
+}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
 def test_presets_make_envs_that_hold_their_specs(compose_config, preset):
-    check_env_specs(instantiate(compose_config(f"+{preset}", "num_envs=2").env))
+    cfg = compose_config(*PRESETS[preset], f"+{preset}", "num_envs=2")
+    check_env_specs(instantiate(cfg.env))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_presets_go_together_and_evaluation_leaves_all_of_them_out(compose_config, order):
+    presets = ["+push=zf_easy", "+curriculum=zf", "+randomization=zf"][::order]
+    cfg = compose_config(*presets, "num_envs=2").env
+    check_env_specs(instantiate(cfg))
+    kept = {name for name, only in cfg.training_only.items() if not only}
+    assert kept == set()
+    assert {"push", "curriculum", "randomization", "noise"} <= set(cfg.training_only)
+
+
+def test_a_curriculum_over_pushes_and_their_interval_goes_on_for_episodes(compose_config):
+    short = "env.transforms.limit.seconds=0.2"
+    cfg = compose_config("+push=zf_easy", "+curriculum=zf", "num_envs=3", short)
+    env = instantiate(cfg.env)
+    td = env.reset()
+    for _ in range(16):
+        td["action"] = torch.zeros(3, 20)
+        _, td = env.step_and_maybe_reset(td)
+    assert_close(td["curriculum_level"], torch.full((3, 1), 0.15))  # three episodes, none fell
 
 
 def test_stages_of_the_zeroth_project_change_pushes_and_their_interval(compose_config):

@@ -40,6 +40,7 @@ def imu(angle: torch.Tensor, rate: torch.Tensor) -> TensorDict:
             "base_orientation": roll_of(angle),
             "base_angular_velocity": torch.stack([rate, zero, zero], -1),
             "base_acceleration": rotate_inverse(roll_of(angle), gravity),
+            "projected_gravity": rotate_inverse(roll_of(angle), -gravity / 9.81),
         },
         [len(angle)],
     )

@@ -81,7 +81,9 @@ class Curriculum(Transform):
             for part in middle:
                 owner = _read(owner, part, name)
             value = _read(owner, last, name)
-            if isinstance(value, bool) or _pair(value) != (stages.dim() == 2):
+            if not (_number(value) or _pair(value)):
+                raise ValueError(f"fields.{name} must be a number or a pair, it is {value!r}.")
+            if _pair(value) != (stages.dim() == 2):
                 raise ValueError(
                     f"fields.{name} must hold values like {value!r}, got {stages.tolist()}."
                 )
@@ -109,20 +111,24 @@ class Curriculum(Transform):
             change = torch.where(fell, -torch.as_tensor(self.down), torch.as_tensor(self.up))
             self.level = torch.where(done, (self.level + change).clamp(0.0, 1.0), self.level)
             self._move()
-        return next_tensordict.set("curriculum_level", self.level[:, None])
+        return next_tensordict.set("curriculum_level", self.level[:, None].clone())
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return tensordict_reset.set("curriculum_level", self.level[:, None])
+        return tensordict_reset.set("curriculum_level", self.level[:, None].clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["curriculum_level"] = Unbounded((len(self.level), 1))
         return observation_spec
 
 
+def _number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
 def _pair(value: Any) -> bool:
-    return isinstance(value, (Sequence, Tensor)) and not isinstance(value, str) and len(value) == 2
+    return isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_number, value))
 
 
 def _read(owner: Any, part: str, name: str) -> Any:

@@ -15,7 +15,6 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.rotations import up_axis
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.starts import reset_rows
 
@@ -75,9 +74,9 @@ class TiltKalmanFilter(Transform):
     ``angle_std`` must cover.
 
     Keys: reads ``base_acceleration`` [m/s2] and ``base_angular_velocity`` [rad/s] ``(N, 3)``,
-    measured if they are, and ``base_orientation`` ``(N, 4)``; writes ``tilt`` ``(N, 2)``, the true
-    roll and pitch [rad], its estimate ``("measured", "tilt")``, and ``("measured", "gyro_bias")``
-    ``(N, 2)`` about x and y [rad/s].
+    measured if they are, and the true ``projected_gravity`` ``(N, 3)``; writes ``tilt``
+    ``(N, 2)``, roll and pitch against gravity [rad], its estimate ``("measured", "tilt")``, and
+    ``("measured", "gyro_bias")`` ``(N, 2)`` about x and y [rad/s].
 
     Args:
         env: the base env.
@@ -105,7 +104,7 @@ class TiltKalmanFilter(Transform):
         angle_std: float = 0.2,
     ):
         super().__init__(
-            in_keys=["base_acceleration", "base_angular_velocity", "base_orientation"],
+            in_keys=["base_acceleration", "base_angular_velocity", "projected_gravity"],
             out_keys=["tilt", ("measured", "tilt"), ("measured", "gyro_bias")],
         )
         values = {"gyro_std": gyro_std, "bias_rate": bias_rate, "angle_std": angle_std}
@@ -135,7 +134,7 @@ class TiltKalmanFilter(Transform):
         return self._write(next_tensordict)
 
     def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
-        tensordict["tilt"] = roll_and_pitch(up_axis(tensordict["base_orientation"]))
+        tensordict["tilt"] = roll_and_pitch(-tensordict["projected_gravity"])
         tensordict["measured", "tilt"] = self.state[..., 0].clone()
         tensordict["measured", "gyro_bias"] = self.state[..., 1].clone()
         return tensordict
@@ -144,7 +143,7 @@ class TiltKalmanFilter(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)[:, None]
-        true = roll_and_pitch(up_axis(tensordict_reset["base_orientation"]))
+        true = roll_and_pitch(-tensordict_reset["projected_gravity"])
         start = torch.stack([true, torch.zeros_like(true)], -1)
         rate = read_measured(tensordict_reset, "base_angular_velocity")[..., :2]
         self.state = torch.where(rows[..., None], start, self.state)

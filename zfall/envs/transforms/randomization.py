@@ -115,7 +115,9 @@ def draw(distribution: Mapping[str, Any], shape: torch.Size, rng: torch.Generato
         else:
             values = first * (second / first) ** u
     clip = distribution.get("clip")
-    values = values if clip is None else values.clamp(*clip)
+    if clip is not None:
+        low, high = (torch.as_tensor(x).reshape(-1, 1) for x in clip)
+        values = torch.clamp(values, low, high)
     return values.float().expand(shape).clone()
 
 
@@ -213,7 +215,7 @@ class ImuMisalignment(Transform):
             value = next_tensordict.get(out_key, None)
             value = next_tensordict[key] if value is None else value
             next_tensordict[out_key] = rotate(turn, value)
-        next_tensordict["params", "imu_misalignment"] = self.rotation
+        next_tensordict["params", "imu_misalignment"] = self.rotation.clone()
         return next_tensordict
 
     def _reset(

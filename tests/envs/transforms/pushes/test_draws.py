@@ -30,7 +30,7 @@ def test_a_fixed_heading_is_a_unit_vector():
 
 
 def test_exponential_rests_make_the_mean_time_from_push_to_push():
-    timing = Timing(None, 3.0, None, longest=0.5, control_dt=0.04)
+    timing = Timing(None, 3.0, None, longest=0.9, mean=0.5, control_dt=0.04)
     zero = torch.zeros(4000, dtype=torch.float64)
     rests = timing.next(torch.rand(4000), zero, zero, zero.long())
     assert kstest(rests.numpy(), expon(scale=2.5).cdf).pvalue > 1e-3  # 3 s less the push itself
@@ -51,7 +51,7 @@ def test_bounds_may_differ_from_world_to_world():
 ])  # fmt: skip
 def test_bad_timings_are_refused(values, message):
     with pytest.raises(ValueError, match=message):
-        Timing(*values, longest=0.2, control_dt=0.04)
+        Timing(*values, longest=0.2, mean=0.2, control_dt=0.04)
 
 
 @pytest.mark.parametrize("direction", ["up", [0, 0, 0], [1, 0]])

@@ -38,3 +38,14 @@ def test_kicks_come_at_their_times_and_only_then(make_task):
     assert when == [2, 5]  # in the steps that begin at 0.08 s and at 0.20 s
     size = torch.stack(seen)[when]
     assert ((size > 0.0999) & (size < 0.2001)).all()
+
+
+def test_two_kicks_add_up(make_task):
+    one = {"velocity": [0.3, 0.3], "times": [0.0], "direction": [1, 0, 0]}
+    two = {"velocity": [0.1, 0.1], "times": [0.0], "direction": [0, 1, 0]}
+    env = make_task({**ACTION, "one": (VelocityKick, one), "two": (VelocityKick, two)})
+    td = env.reset()
+    for expected in ([0.3, 0.1, 0.0], [0.0, 0.0, 0.0]):
+        td["action"] = torch.zeros(4, 20)
+        td = env.step(td)["next"]
+        assert_close(td["push", "velocity_kick"], torch.tensor([expected] * 4))

@@ -1,8 +1,10 @@
 """Scripted pushes: lists, overlaps, shapes."""
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
+from torchrl.envs import Transform
 
 from tests.envs.transforms.pushes.test_random import ACTION, wrenches
 from zfall.envs.transforms.pushes import ScriptedPush
@@ -40,6 +42,29 @@ def test_measures_of_a_push_follow_from_each_other(make_task):
     assert_close(td["peak_force"], torch.full((4, 1), 20.0))
     assert_close(td["impulse"], torch.full((4, 1), 2 / torch.pi * 2.0))
     assert_close(td["size"], torch.full((4, 1), 2 / torch.pi * 2.0 / 4.920), rtol=1e-3, atol=0)
+
+
+class Wind(Transform):
+    """Somebody else's force, before the push in the table."""
+
+    def __init__(self, env):
+        super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
+        self.zero = env.zero_wrench
+
+    def _inv_call(self, tensordict):
+        return tensordict.set(("push", "wrench"), self.zero() + 1.0)
+
+
+def test_measures_are_of_the_step_whatever_else_acts_on_the_robot(make_task):
+    push = {"point": "torso", "duration": 0.08, "time": 0.04, "plan": [10.0, 0, 0]}
+    twice = {"a": (ScriptedPush, push), "b": (ScriptedPush, push | {"plan": [5.0, 0, 0]})}
+    env = make_task({**ACTION, "wind": (Wind, {}), **twice})
+    td, seen = env.reset(), []
+    for _ in range(5):
+        td["action"] = torch.zeros(4, 20)
+        td = env.step(td)["next"]
+        seen.append((td["push", "force"][0, 0].item(), td["push", "peak_force"][0].item()))
+    np.testing.assert_allclose(seen, [(0, 0), (15, 10), (15, 10), (0, 0), (0, 0)], atol=1e-4)
 
 
 def test_an_episode_that_begins_anew_gets_its_pushes_again(make_task):

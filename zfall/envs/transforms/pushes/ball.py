@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.robots import GRAVITY
 from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
 from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import per_world
 
 
 class ThrownBall(Transform):
@@ -21,8 +21,8 @@ class ThrownBall(Transform):
     carries it there in a parabola. What it does to the robot is left to the contact.
 
     Keys: writes ``("ball", "launch")`` ``(N, 1)`` bool and ``("ball", "start")`` ``(N, 6)``,
-    position [m] and velocity [m/s; world], which the base env puts the ball into before the step,
-    both as observations too. Reads ``com_position`` [m].
+    position [m] and velocity [m/s; world], which the base env puts the ball into before the
+    step. Reads ``com_position`` [m].
 
     Args:
         env: the base env, built with a ``ball``.
@@ -61,7 +61,9 @@ class ThrownBall(Transform):
         check_range("aim", list(aim), negative=True)
         if not distance > 0:
             raise ValueError(f"distance must be positive, got {distance}.")
-        self.timing = Timing(interval, mean_interval, times, longest=0.0, control_dt=env.control_dt)
+        self.timing = Timing(
+            interval, mean_interval, times, longest=0.0, mean=0.0, control_dt=env.control_dt
+        )
         self.speed, self.distance, self.aim, self.rng = speed, distance, aim, env.rng
         self.control_dt, num = env.control_dt, env.num_envs
         self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
@@ -73,20 +75,19 @@ class ThrownBall(Transform):
         side, speed, aim = self.plan[:, :3], self.plan[:, 3:4], self.plan[:, 4]
         target = tensordict["com_position"].clone()
         target[:, 2] += aim
-        position = target + self.distance * side
+        position = target + per_world(self.distance, 2) * side
         velocity = -speed * side
         velocity[:, 2] += 0.5 * GRAVITY * self.distance / speed[:, 0]  # level at half the flight
-        tensordict["ball", "launch"] = due[:, None]
-        tensordict["ball", "start"] = torch.cat([position, velocity], -1)
+        start = torch.cat([position, velocity], -1)
+        there = tensordict.get(("ball", "launch"), None)
+        if there is not None:  # of another transform, with the same ball
+            start = torch.where(due[:, None], start, tensordict["ball", "start"])
+        tensordict["ball", "launch"] = due[:, None] if there is None else there | due[:, None]
+        tensordict["ball", "start"] = start
         begun = self.start - self.control_dt
         self.start, self.count = begun, self.count + due
         self._draw(due, begun)
         return tensordict
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        for key in (("ball", "launch"), ("ball", "start")):
-            next_tensordict[key] = tensordict[key]
-        return next_tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -94,8 +95,6 @@ class ThrownBall(Transform):
         rows = reset_rows(tensordict)
         self.count = torch.where(rows, 0, self.count)
         self._draw(rows, torch.zeros_like(self.start))
-        tensordict_reset["ball", "launch"] = torch.zeros(len(rows), 1, dtype=torch.bool)
-        tensordict_reset["ball", "start"] = torch.zeros(len(rows), 6)
         return tensordict_reset
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
@@ -107,9 +106,3 @@ class ThrownBall(Transform):
         plan = torch.cat([side, speed[:, None], aim[:, None]], -1)
         self.start = torch.where(rows, start, self.start)
         self.plan = torch.where(rows[:, None], plan, self.plan)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        num = len(self.start)
-        observation_spec["ball", "launch"] = Binary(1, shape=(num, 1), dtype=torch.bool)
-        observation_spec["ball", "start"] = Unbounded((num, 6))
-        return observation_spec

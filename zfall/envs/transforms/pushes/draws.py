@@ -65,6 +65,7 @@ class Timing:
         mean_interval: mean time from one beginning to the next [s], of exponential rests; or
         times: beginnings [s since the episode began].
         longest: longest duration of the disturbance [s].
+        mean: mean duration of it [s].
         control_dt: time between two plans [s]: the next one is made once the last has ended.
 
     Raises:
@@ -78,6 +79,7 @@ class Timing:
         times: Sequence[float] | None,
         *,
         longest: float,
+        mean: float,
         control_dt: float,
     ):
         options = {"interval": interval, "mean_interval": mean_interval, "times": times}
@@ -86,7 +88,7 @@ class Timing:
             raise ValueError(
                 f"give just one of {', '.join(options)}, got {', '.join(given) or 'none'}."
             )
-        self.interval, self.mean_interval, self.longest = interval, mean_interval, longest
+        self.interval, self.mean_interval, self.mean = interval, mean_interval, mean
         self.times: Tensor | None = None
         if interval is not None:
             check_range("interval", interval)
@@ -118,5 +120,6 @@ class Timing:
             previous = torch.where(count > 0, self.times[(count - 1).clamp_min(0)], 0.0)
             return last + self.times[count.clamp_max(len(self.times) - 1)] - previous
         if self.mean_interval is not None:
-            return rest_from - (self.mean_interval - self.longest) * torch.log1p(-u.double())
-        return rest_from + between(self.interval or (0.0, 0.0), u)
+            return rest_from - (self.mean_interval - self.mean) * torch.log1p(-u.double())
+        bounds = (0.0, 0.0) if self.interval is None else self.interval
+        return rest_from + between(bounds, u)

@@ -42,6 +42,7 @@ class PushForces:
         self._zero_wrench = env.zero_wrench
         self._worlds = torch.arange(env.num_envs)[:, None]
         self._steps = torch.arange(env.substeps)
+        self._acted: dict[tuple[str, str], Tensor] = {}  # from the inverse pass to the step's end
 
     def apply(
         self,
@@ -54,7 +55,7 @@ class PushForces:
         """Adds the coming control step's share of the pushes to the TensorDict.
 
         Args:
-            tensordict: of the step; ``("push", "wrench")`` and the measures are added to.
+            tensordict: of the step; ``("push", "wrench")`` is added to.
             start: begin of the pushes ``(N, E)`` [s from now], float64: times add up over episodes.
             duration: their length ``(N, E)`` [s].
             force: their peak force ``(N, E, 3)`` [N; world].
@@ -62,7 +63,6 @@ class PushForces:
         """
         share = force_share(self.begin, self.physics_dt, start, duration, self.profile)
         wrench = tensordict.get(("push", "wrench"), None)
-        fresh = wrench is None  # the measures of the last step are still there: begin anew
         if wrench is None:
             wrench = self._zero_wrench()
         if len(self.bodies) == 1:
@@ -78,27 +78,25 @@ class PushForces:
         tensordict["push", "wrench"] = wrench
         peak = force.norm(dim=-1) * (share > 1e-6).any(-1)
         impulse = self.profile.mean * (peak * duration).amax(1, keepdim=True).float()
-        now = {
-            "force": act.mean(1),
-            "peak_force": peak.amax(1, keepdim=True),
-            "impulse": impulse,
-            "size": impulse / self.impulse_unit,
+        self._acted = {
+            ("push", "force"): act.mean(1),
+            ("push", "peak_force"): peak.amax(1, keepdim=True),
+            ("push", "impulse"): impulse,
+            ("push", "size"): impulse / self.impulse_unit,
         }
-        for key, value in now.items():
-            if not fresh:
-                before = tensordict["push", key]
-                value = before + value if key == "force" else torch.maximum(before, value)
-            tensordict["push", key] = value
 
     def keys(self) -> dict[tuple[str, str], tuple[int, int]]:
         """Keys that observe the pushes, and their shapes."""
         shapes = {("push", "force"): (*self.shape, 3)}
         return shapes | {("push", key): (*self.shape, 1) for key in _MEASURES}
 
-    def observe(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
-        """Copies what acted in a step to its outcome."""
-        for key in self.keys():
-            next_tensordict[key] = tensordict[key]
+    def observe(self, next_tensordict: TensorDictBase) -> None:
+        """Writes what acted in the step just taken, besides what other pushes wrote of it."""
+        for key, value in self._acted.items():
+            there = next_tensordict.get(key, None)
+            if there is not None:
+                value = there + value if key[1] == "force" else torch.maximum(there, value)
+            next_tensordict[key] = value
 
     def clear(self, tensordict: TensorDictBase) -> None:
         """Writes that nothing acted yet."""

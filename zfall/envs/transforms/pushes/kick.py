@@ -19,8 +19,9 @@ class VelocityKick(Transform):
     The whole robot moves on with the base, joints as they were, so the momentum gained is about
     mass x kick. Kept for comparison; ``RandomPush`` is the honest disturbance.
 
-    Keys: adds to ``("push", "velocity_kick")`` ``(N, 3)`` [m/s; world], which the base env adds
-    to the base's velocity before the coming step, and writes it as an observation of that step.
+    Keys: adds to ``("push", "kick")`` ``(N, 3)`` [m/s; world], which the base env adds to the
+    base's velocity before the coming step; writes ``("push", "velocity_kick")`` ``(N, 3)``, the
+    kick at the beginning of the step just taken.
 
     Args:
         env: the base env.
@@ -46,11 +47,13 @@ class VelocityKick(Transform):
         times: Sequence[float] | None = None,
         direction: str | Sequence[float] = "planar",
     ):
-        key = ("push", "velocity_kick")
+        key = ("push", "kick")
         super().__init__(in_keys_inv=[key], out_keys_inv=[key])
         check_range("velocity", list(velocity))
         heading(direction, torch.zeros(2, 1))  # refuses a bad one
-        self.timing = Timing(interval, mean_interval, times, longest=0.0, control_dt=env.control_dt)
+        self.timing = Timing(
+            interval, mean_interval, times, longest=0.0, mean=0.0, control_dt=env.control_dt
+        )
         self.velocity, self.direction, self.rng = velocity, direction, env.rng
         self.control_dt, num = env.control_dt, env.num_envs
         self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
@@ -59,15 +62,16 @@ class VelocityKick(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         due = self.start < self.control_dt - 1e-9
-        tensordict["push", "velocity_kick"] = torch.where(due[:, None], self.kick, 0.0)
+        kick = torch.where(due[:, None], self.kick, 0.0)
+        there = tensordict.get(("push", "kick"), None)
+        tensordict["push", "kick"] = kick if there is None else there + kick
         begun = self.start - self.control_dt
         self.start, self.count = begun, self.count + due
         self._draw(due, begun)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        key = ("push", "velocity_kick")
-        return next_tensordict.set(key, tensordict[key])
+        return next_tensordict.set(("push", "velocity_kick"), tensordict["push", "kick"])
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

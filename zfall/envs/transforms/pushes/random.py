@@ -77,7 +77,12 @@ class RandomPush(Transform):
         self.duration = [duration] * 2 if isinstance(duration, (int, float)) else list(duration)
         check_range("duration", self.duration, positive=True)
         self.timing = Timing(
-            interval, mean_interval, times, longest=self.duration[1], control_dt=env.control_dt
+            interval,
+            mean_interval,
+            times,
+            longest=self.duration[1],
+            mean=0.5 * sum(self.duration),
+            control_dt=env.control_dt,
         )
         measures = {"force": force, "impulse": impulse, "size": size, "axes": axes}
         given = [name for name, value in measures.items() if value is not None]
@@ -118,7 +123,7 @@ class RandomPush(Transform):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self.forces.observe(tensordict, next_tensordict)
+        self.forces.observe(next_tensordict)
         return next_tensordict
 
     def _reset(

@@ -24,9 +24,9 @@ class ScriptedPush(Transform):
         duration: length of the pushes [s], or of each.
         time: when they begin [s since the episode began]: one for all, ``(E,)``, ``(N,)`` if E is
             1, or ``(N, E)``.
-        plan: their peak forces [N; world]: ``(3,)``, ``(E, 3)``, ``(N, 3)`` if E is 1, or
-            ``(N, E, 3)``. The buffers ``time`` and ``plan`` of full shape may be changed between
-            episodes.
+        plan: their peak forces [N; world]: ``(3,)``, a list of E vectors, a tensor ``(N, 3)`` of
+            one push for each world, or one ``(N, E, 3)``. The buffers ``time`` and ``plan`` of
+            full shape may be changed between episodes.
         profile: see ``RandomPush``.
 
     Raises:
@@ -88,7 +88,7 @@ class ScriptedPush(Transform):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self.forces.observe(tensordict, next_tensordict)
+        self.forces.observe(next_tensordict)
         return next_tensordict
 
     def _reset(
