@@ -92,7 +92,7 @@ def table(summaries: dict[str, dict[str, Any]]) -> Table:
 def video(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
 ) -> None:
-    """Films a push of I = 0.5 from four sides, the policy above ``pose_hold``."""
+    """Films a push of I = 0.4 from four sides, the policy above ``pose_hold``."""
     rows = {"trained": record(battery, env_cfg, actor), "pose_hold": record(battery, env_cfg, None)}
     states = {name: qpos for name, (qpos, _) in rows.items()}
     env, _, _ = battery_env(battery, env_cfg, 64)
@@ -109,7 +109,7 @@ def frame(env: HumanoidEnv) -> float:
 
 
 def record(
-    battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.5
+    battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.4
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side at 0.6 s.
 

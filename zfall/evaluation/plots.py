@@ -20,7 +20,7 @@ def success_map(
     """Polar map of the success rate: angle is the push's heading, radius its impulse.
 
     The robot stands in the middle and looks up. A line marks I50 in each direction, a dotted
-    one that of the baseline.
+    one that of the baseline. Sizes that no trial withstood are left out beyond the first two.
 
     Args:
         trials: of a planar battery.
@@ -48,16 +48,22 @@ def success_map(
         vmax=1,
         rasterized=True,
     )
+    tables = [table]
     _draw_i50(axes, table, "-", "I50")
     if baseline is not None:
-        _draw_i50(axes, success_table(baseline), ":", "I50 of pose_hold")
-    axes.set_ylim(0, edges[-1])
+        tables.append(success_table(baseline))
+        _draw_i50(axes, tables[1], ":", "I50 of pose_hold")
+    withstood = max([0.0, *(size for x in tables for size in x.columns[(x > 0).any()])])
+    reach = min(edges[-1], withstood + 2.5 * step)
+    axes.set_ylim(0, reach)
+    if reach < edges[-1]:  # the rest of the map would be empty
+        title += f"; none from {withstood + step:.1f} to {impulses[-1]:.1f}"
     axes.grid(False)
     axes.set_thetagrids(
         [0, 45, 90, 135, 180, 225, 270, 315],
         ["forward", "", "left", "", "backward", "", "right", ""],
     )
-    axes.set_yticks([tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < edges[-1]])
+    axes.set_yticks([tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < reach])
     axes.tick_params(axis="y", colors="white", labelsize=8)
     axes.set_title(title, fontsize=11)
     axes.legend(
