@@ -53,7 +53,7 @@ def success_map(
     if baseline is not None:
         tables.append(success_table(baseline))
         _draw_i50(axes, tables[1], ":", "I50 of pose_hold")
-    withstood = max([0.0, *(size for x in tables for size in x.columns[(x > 0).any()])])
+    withstood = max([0.0, *(float(i) for x in tables for i in x.columns[(x > 0).any()])])
     reach = min(edges[-1], withstood + 2.5 * step)
     axes.set_ylim(0, reach)
     if reach < edges[-1]:  # the rest of the map would be empty
