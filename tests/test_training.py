@@ -9,7 +9,7 @@ import torch
 from recipes.learner import Learner
 from zfall.evaluation.battery import load_battery, run_battery
 
-FRAMES = 1_500_000
+FRAMES = 1_200_000
 
 
 def success(trials: pd.DataFrame) -> float:

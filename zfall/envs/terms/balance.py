@@ -4,7 +4,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import GRAVITY
+from zfall.envs.robots import GRAVITY, Robot
+from zfall.envs.terms.kernels import rbf
+from zfall.envs.terms.support import hull_center, support_hull
 
 
 def base_speed(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
@@ -33,3 +35,57 @@ def capture_point(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) 
     fall_time = (lean[..., 2:].clamp_min(0.0) / GRAVITY).sqrt()  # [s]
     xi = lean[..., :2] + next_td["com_velocity"][..., :2] * fall_time
     return torch.exp(-xi.square().sum(-1, keepdim=True) / sigma**2)
+
+
+def vertical_com_speed(
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+) -> Tensor:
+    """High when the center of mass does not rise or sink: ``rbf(v_z, 0)``.
+
+    Reads ``com_velocity`` ``(*B, 3)`` [m/s]; ``cutoff`` [m/s]. Returns ``(*B, 1)`` in (0, 1].
+
+    Source: Ferigo et al., RA-L 2021, table II (its symbols of the two CoM velocities are
+    exchanged in print).
+    """
+    return rbf(next_td["com_velocity"][..., 2:], 0.0, cutoff=cutoff, epsilon=epsilon)
+
+
+def com_velocity_to_support(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+) -> Tensor:
+    """High when the center of mass moves to the middle of its support, faster from far away.
+
+    ``rbf(v_xy, omega (c - x))`` with the center c of the support polygon, ``omega = sqrt(g / z)``
+    and the center of mass at x and height z. 0 outside double support.
+
+    Reads ``com_position`` [m], ``com_velocity`` [m/s] ``(*B, 3)``, ``feet_contact`` and what
+    ``support_hull`` reads; ``cutoff`` [m/s]. Returns ``(*B, 1)`` in [0, 1].
+
+    Source: Ferigo et al., RA-L 2021, section IV-C, by its text: toward the center.
+    """
+    com = next_td["com_position"]
+    omega = (GRAVITY / com[..., 2:].clamp_min(0.01)).sqrt()
+    target = omega * (hull_center(support_hull(next_td, robot)) - com[..., :2])
+    value = rbf(next_td["com_velocity"][..., :2], target, cutoff=cutoff, epsilon=epsilon)
+    return torch.where(next_td["feet_contact"].all(-1, keepdim=True), value, 0.0)
+
+
+def centroidal_momentum(
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    linear: float,
+    angular: float,
+    epsilon: float,
+) -> Tensor:
+    """High when the robot as a whole neither travels nor turns: ``rbf(|p| / P + |L| / A, 0)``.
+
+    Reads ``linear_momentum`` [kg m/s] and ``angular_momentum`` [kg m2/s] ``(*B, 3)``; P and A,
+    ``linear`` and ``angular``, are what counts as much. Returns ``(*B, 1)`` in (0, 1].
+
+    Source: Ferigo et al., RA-L 2021, table II (centroidal momentum); there the two norms are
+    added as they are, which only works in the units of one robot.
+    """
+    p = next_td["linear_momentum"].norm(dim=-1, keepdim=True) / linear
+    turning = next_td["angular_momentum"].norm(dim=-1, keepdim=True) / angular
+    return rbf(p + turning, 0.0, cutoff=1.0, epsilon=epsilon)

@@ -1,0 +1,51 @@
+"""Foot terms by hand."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.testing import assert_close
+
+from zfall.envs.robots import ZEROTH01
+from zfall.envs.terms.feet import balanced_load, centered_pressure, feet_in_contact, flat_feet
+
+NONE = TensorDict(batch_size=[3])
+CONTACT = torch.tensor([[True, True], [True, False], [False, False]])
+
+
+def test_contact_of_any_foot_or_of_both():
+    td = TensorDict({"feet_contact": CONTACT}, batch_size=[3])
+    assert feet_in_contact(NONE, td).tolist() == [[1.0], [1.0], [0.0]]
+    assert feet_in_contact(NONE, td, both=True).tolist() == [[1.0], [0.0], [0.0]]
+
+
+def test_load_is_1_on_half_the_weight_and_epsilon_a_cutoff_away():
+    """m g / 2 = 16.43 N: all on one foot puts both feet 16.43 N off."""
+    half = 0.5 * 3.3494 * 9.81
+    force = torch.zeros(3, 2, 3)
+    force[0, :, 2] = half
+    force[1, 0, 2] = 2 * half
+    force[2, 0, 2] = half  # one foot right, the other empty
+    td = TensorDict({"feet_force": force}, batch_size=[3])
+    value = balanced_load(NONE, td, robot=ZEROTH01, cutoff=half, epsilon=0.01)
+    assert_close(value[:, 0], torch.tensor([1.0, 0.01, 0.505]), atol=1e-4, rtol=0)
+
+
+def test_pressure_counts_feet_on_the_floor_alone():
+    cop = torch.zeros(3, 2, 2)
+    cop[0, 0] = torch.tensor([0.03, 0.04])  # 0.05 m off
+    td = TensorDict({"feet_cop": cop, "feet_contact": CONTACT}, batch_size=[3])
+    value = centered_pressure(NONE, td, cutoff=0.05, epsilon=0.1)
+    assert_close(value[:, 0], torch.tensor([0.55, 0.5, 0.0]))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.3])
+def test_feet_are_flat_whatever_their_heading(angle):
+    """1 - cos(angle) off the vertical; a turn about z changes nothing."""
+    tipped = [math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0]
+    turned = [math.cos(0.4), 0.0, 0.0, math.sin(0.4)]
+    td = TensorDict({"feet_orientation": torch.tensor([[tipped, turned]])}, batch_size=[1])
+    expected = 0.5 + 0.5 * 0.01 ** ((1 - math.cos(angle)) ** 2 / 0.05**2)
+    value = flat_feet(NONE, td, cutoff=0.05, epsilon=0.01).item()
+    assert value == pytest.approx(expected, abs=1e-4)
