@@ -78,7 +78,7 @@ def load_run(cfg: DictConfig) -> tuple[DictConfig, torch.nn.Module | None]:
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
     checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
-    actor.load_state_dict(content["actor"])
+    actor.load_state_dict(content["policy"])
     return env_cfg, actor
 
 

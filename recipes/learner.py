@@ -7,6 +7,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torch.nn.utils import clip_grad_norm_
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
@@ -19,6 +20,9 @@ from zfall.modules.actors import normalizer_of, recurrent_keys
 
 class Learner:
     """Collects batches and learns from them; ``state_dict`` holds all that the next one needs.
+
+    ``policy`` is what comes out: the actor with its weights averaged over the last updates, which
+    takes the ups and downs of single updates out of it.
 
     Args:
         cfg: the composed config, see ``recipes/train.yaml``.
@@ -35,6 +39,9 @@ class Learner:
         self.env = instantiate(cfg.env)
         spec, action_spec = self.env.observation_spec, self.env.action_spec
         self.actor = instantiate(cfg.actor, spec, action_spec)
+        if not 0 <= cfg.averaging < 1:
+            raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
+        self._average = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.averaging))
         self.critic = instantiate(cfg.critic, spec)
         hidden = recurrent_keys(self.actor)
         if recurrent_keys(self.critic):
@@ -66,6 +73,11 @@ class Learner:
         self._stored = [*self._learned, *(("next", key) for key in [*inputs, *flags])]
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
+
+    @property
+    def policy(self) -> torch.nn.Module:
+        """The actor with averaged weights."""
+        return self._average.module
 
     @property
     def frames_per_batch(self) -> int:
@@ -108,6 +120,7 @@ class Learner:
             self.scheduler.step(max(means["kl"], 1e-6))
         normalizer_of(self.actor).update(batch["observation"])
         normalizer_of(self.critic).update(batch["observation_critic"])
+        self._average.update_parameters(self.actor)
         self.updates += 1
         return means
 
@@ -117,6 +130,8 @@ class Learner:
             "config": OmegaConf.to_yaml(self.cfg, resolve=True),
             "robot": self.env.base_env.robot.name,
             "actor": self.actor.state_dict(),
+            "policy": self.policy.state_dict(),
+            "averaged": int(self._average.n_averaged),
             "critic": self.critic.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "env": self.env.base_env.state_dict(),
@@ -130,6 +145,8 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Goes on from what ``state_dict`` gave."""
         self.actor.load_state_dict(state["actor"])
+        self.policy.load_state_dict(state["policy"])
+        self._average.n_averaged.fill_(state["averaged"])
         self.critic.load_state_dict(state["critic"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.env.base_env.load_state_dict(state["env"])

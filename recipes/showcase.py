@@ -33,7 +33,7 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
 
     Writes plots, ``video.mp4`` and ``summary.json`` into the run folder and prints a table.
     """
-    cfg, actor = learner.cfg, learner.actor
+    cfg, actor = learner.cfg, learner.policy
     battery = load_battery("planar", impulses=list(cfg.showcase.sizes), starts=cfg.showcase.starts)
     trained = {key: value.clone() for key, value in actor.state_dict().items()}
     with console.status("short planar battery"):

@@ -24,7 +24,7 @@ from zfall import checkpoint
 
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches"),
-    *("max_grad_norm", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
+    *("max_grad_norm", "averaging", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
     *("optimizer", "scheduler", "showcase", "experiment"),
 }
 
@@ -47,7 +47,7 @@ def main(cfg: DictConfig) -> None:
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
             shutil.rmtree(HydraConfig.get().runtime.output_dir)  # hydra's, of no use here
         learner = Learner(cfg)
-        untrained = {key: value.clone() for key, value in learner.actor.state_dict().items()}
+        untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
         run = RunFolder(folder)
         if state is not None:
             checkpoint.check_fits(state, learner.env.base_env.robot.name, learner.actor, folder)

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 
 from recipes.learner import Learner
@@ -52,7 +53,7 @@ def test_advantages_are_those_of_a_plain_loop(compose_config):
         delta = step["reward"] + gamma * after[:, t] * ~step["terminated"] - value[:, t]
         running = delta + gamma * lmbda * running * ~step["done"]
         expected[:, t] = running
-    torch.testing.assert_close(batch["advantage"], expected, atol=1e-5, rtol=1e-5)
+    assert_close(batch["advantage"], expected, atol=1e-5, rtol=1e-5)
 
 
 def test_every_parameter_learns(learner):
@@ -72,3 +73,24 @@ def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_con
     for key, value in after.items(True, True):
         if key in td.keys(True, True) and key != "_reset":
             assert torch.equal(value[1::2], td[key][1::2]), key
+
+
+def test_policy_is_the_running_average_of_the_actor(compose_config):
+    """After actors a, b, c: first a, then 0.8 a + 0.2 b, then 0.8 of that + 0.2 c."""
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1", "averaging=0.8")
+    learner = Learner(compose_config(*sizes))
+    expected: dict[str, torch.Tensor] = {}
+    for _ in range(3):
+        learner.learn(learner.collect())
+        for name, value in learner.actor.named_parameters():
+            before = expected.get(name, value.detach())
+            expected[name] = 0.8 * before + 0.2 * value.detach()
+    for name, value in learner.policy.named_parameters():
+        assert_close(value.detach(), expected[name])
+    buffers = dict(learner.actor.named_buffers())
+    for name, value in learner.policy.named_buffers():  # the normaliser is that of the actor
+        assert torch.equal(value, buffers[name])
+    assert any(
+        not torch.equal(a, b)
+        for a, b in zip(learner.policy.parameters(), learner.actor.parameters(), strict=True)
+    )

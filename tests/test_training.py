@@ -27,7 +27,7 @@ def test_policy_learns_to_withstand_pushes_that_fell_the_held_pose(compose_confi
     learner = Learner(cfg)
     while learner.frames < FRAMES:
         learner.learn(learner.collect())
-    trials = run_battery(battery, cfg.env, learner.actor)
+    trials = run_battery(battery, cfg.env, learner.policy)
     print(f"{actor}: {success(trials):.3f} after {learner.frames} frames, pose_hold {baseline:.3f}")
     assert success(trials) > baseline + 0.1
     assert not trials[trials["impulse"] == 0.0]["fell"].any()
