@@ -1,6 +1,7 @@
 """Runs a push battery: ``python -m recipes.evaluate run=DIR battery=planar``."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
@@ -23,7 +24,7 @@ from zfall.evaluation.statistics import summarize
 
 BASELINES = ("pose_hold", "limp")
 OPTIONS = ("point", "duration", "directions", "impulses", "starts")
-KEYS = {"run", "battery", "checkpoint", "num_envs", "seed", "env", *OPTIONS}
+KEYS = {"run", "battery", "checkpoint", "num_envs", "seed", "env", "keep", *OPTIONS}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
@@ -33,7 +34,10 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         options = {key: cfg[key] for key in OPTIONS if cfg[key] is not None}
         battery = load_battery(cfg.battery, **options)
+        if cfg.run is None:
+            raise ValueError(f"run must be a run folder, or {' or '.join(BASELINES)}; got none.")
         env_cfg, actor = load_run(cfg)
+        env_cfg = keep(env_cfg, cfg.keep)
         output = Path(HydraConfig.get().runtime.output_dir)
         run = output if cfg.run in BASELINES else Path(cfg.run)
         folder = run / "evaluation" / cfg.battery
@@ -72,6 +76,10 @@ def load_run(cfg: DictConfig) -> tuple[DictConfig, torch.nn.Module | None]:
     if cfg.run in BASELINES:
         return (cfg.env or compose("train", overrides=["num_envs=64"]).env), None
     path = Path(cfg.run) / "checkpoints" / f"{cfg.checkpoint}.pt"
+    if not path.parent.parent.is_dir():
+        raise ValueError(
+            f"run must be a run folder, or {' or '.join(BASELINES)}; there is no folder {cfg.run}."
+        )
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])
     env_cfg = run_cfg.env
@@ -80,6 +88,23 @@ def load_run(cfg: DictConfig) -> tuple[DictConfig, torch.nn.Module | None]:
     checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
     actor.load_state_dict(content["policy"])
     return env_cfg, actor
+
+
+def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
+    """The env's config with some of what evaluation leaves out kept on: noise, delays.
+
+    Raises:
+        ValueError: on a name that is not left out.
+    """
+    training_only = OmegaConf.select(env_cfg, "training_only", default={})
+    unknown = [name for name in names if name not in training_only]
+    if unknown:
+        raise ValueError(
+            f"keep must name what evaluation leaves out ({', '.join(training_only)}), "
+            f"got {unknown[0]}."
+        )
+    kept = dict.fromkeys(names, False)
+    return OmegaConf.merge(env_cfg, {"training_only": kept}) if kept else env_cfg
 
 
 def evaluate(

@@ -22,7 +22,7 @@ LINES = re.findall(r"`(\w+: \{_target_: \.\.\..*?\})` \|", PAGE)
 @pytest.mark.parametrize("line", LINES, ids=lambda line: line.split(":")[0])
 def test_every_line_of_yaml_makes_its_transform(make_base, line):
     ((_, config),) = yaml.safe_load(line.replace("...", "zfall.envs.transforms.")).items()
-    env = make_base(physics_dt=0.005, ball=Ball(mass=0.2, radius=0.04))
+    env = make_base(ball=Ball(mass=0.2, radius=0.04))
     made = get_object(config["_target_"])
     assert isinstance(build_transform(config, env), made if isclass(made) else Transform)
 
@@ -44,7 +44,7 @@ def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
     (tmp_path / "wind.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     space: dict = {}
-    exec("import torch\n" + test, space)
+    exec(test, space)
     space["test_momentum_is_force_times_time"]()
     sys.modules.pop("wind")
 

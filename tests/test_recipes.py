@@ -14,8 +14,10 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 
+from recipes.evaluate import keep
 from recipes.one_line import start
 from zfall import checkpoint
+from zfall.envs.make import left_out
 
 ROOT = Path(__file__).parents[1]
 TINY = ["num_envs=8", "rollout_steps=4", "minibatches=2", "total_frames=64", "checkpoint_every=1",
@@ -221,3 +223,18 @@ def test_run_without_a_checkpoint_is_refused(tmp_path):
     done = run("evaluate", f"run={tmp_path}")
     assert done.returncode != 0
     assert "there is no such file" in done.stderr
+
+
+def test_an_evaluation_keeps_on_what_it_is_told_to(compose_config):
+    cfg = compose_config("num_envs=2").env
+    assert {"noise", "delay"} <= set(left_out(cfg.training_only))
+    assert {"noise", "delay"}.isdisjoint(left_out(keep(cfg, ["noise", "delay"]).training_only))
+    with pytest.raises(ValueError, match=r"keep must name what evaluation leaves out .*got action"):
+        keep(cfg, ["action"])
+
+
+@pytest.mark.parametrize("given", [[], ["run=nowhere"]])
+def test_an_evaluation_of_nothing_says_what_there_is(given):
+    done = run("evaluate", *given)
+    assert done.returncode == 1
+    assert "run must be a run folder, or pose_hold or limp" in done.stderr

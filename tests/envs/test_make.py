@@ -96,3 +96,34 @@ def test_config_survives_a_round_trip_through_text(compose_config):
         for c in (cfg, OmegaConf.create(text))
     ]
     assert names[0] == names[1]
+
+
+def test_a_transform_stands_before_the_one_it_names(make_base):
+    late = {"_target_": "zfall.envs.transforms.windows.LastAction", "before": "vector"}
+    vector = {
+        "_target_": "zfall.envs.transforms.observations.ObservationVector",
+        "out_key": "observation",
+        "measured": True,
+        "keys": ["joint_position"],
+    }
+    env = make_env(make_base(), table(vector=vector, late=late))
+    names = [type(t).__name__ for t in env.transform]
+    assert names.index("LastAction") == names.index("ObservationVector") - 1
+    with pytest.raises(ValueError, match=r"late.before must name another transform .*got tail"):
+        make_env(make_base(), table(vector=vector, late=late | {"before": "tail"}))
+
+
+def test_sensing_after_the_observation_that_should_hold_it_is_refused(make_base):
+    vector = {
+        "_target_": "zfall.envs.transforms.observations.ObservationVector",
+        "out_key": "observation",
+        "measured": True,
+        "keys": ["joint_position"],
+    }
+    noise = {
+        "_target_": "zfall.envs.transforms.observations.ObservationNoise",
+        "std": {"joint_position": 0.1},
+    }
+    with pytest.raises(ValueError, match=r"transforms.noise must come before vector, which reads"):
+        make_env(make_base(), table(vector=vector, noise=noise))
+    make_env(make_base(), table(vector=vector, noise=noise | {"before": "vector"}))

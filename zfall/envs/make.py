@@ -28,13 +28,15 @@ def make_env(
         base_env: the env, or its config with a ``_target_``.
         transforms: by name, transforms or their configs. A class whose first parameter is named
             ``env`` is given the base env; one with a method ``attach`` is called with the table
-            of all that were built.
+            of all that were built. A config may say ``before: NAME``, to stand there and not
+            where it was written: at the end, if the shell added it.
         training_only: names of transforms that evaluation leaves out: pushes, noise, delays,
             randomisation; or a table ``name: true``.
         training: whether to keep them.
 
     Raises:
-        ValueError: if ``training_only`` names a transform that is not in the table.
+        ValueError: if ``training_only`` or ``before`` names a transform that is not in the table,
+            or something is measured after the observation that should hold it.
     """
     training_only = left_out(training_only)
     unknown = [name for name in training_only if name not in transforms]
@@ -44,14 +46,52 @@ def make_env(
             f"got {', '.join(unknown)}; a transform taken out of the table leaves this list too."
         )
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
-    used = {k: v for k, v in transforms.items() if training or k not in training_only}
+    ordered = _in_place(transforms)
+    used = {k: v for k, v in ordered.items() if training or k not in training_only}
     built = {name: build_transform(transform, env) for name, transform in used.items()}
     for transform in built.values():
         if hasattr(transform, "attach"):
             transform.attach(built)
+    _check_measured(built)
     before = [transform for transform in built.values() if transform.in_keys_inv]
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     return TransformedEnv(env, Compose(*reversed(before), *after))
+
+
+def _in_place(
+    transforms: Mapping[str, Transform | Mapping[str, Any]],
+) -> dict[str, Transform | Mapping[str, Any]]:
+    """The table in the order that its ``before`` ask for, without them."""
+    table = dict(transforms.items())
+    for name, transform in transforms.items():
+        if isinstance(transform, Transform) or "before" not in transform:
+            continue
+        place = transform["before"]
+        if place not in table or place == name:
+            raise ValueError(
+                f"{name}.before must name another transform of the table "
+                f"({', '.join(transforms)}), got {place}."
+            )
+        table.pop(name)
+        moved = {key: value for key, value in transform.items() if key != "before"}
+        at = list(table).index(place)
+        items = list(table.items())
+        table = dict([*items[:at], (name, moved), *items[at:]])
+    return table
+
+
+def _check_measured(built: Mapping[str, Transform]) -> None:
+    """Refuses sensing that comes too late: the observation would quietly go without it."""
+    read: dict[Any, str] = {}
+    for name, transform in built.items():
+        for key in transform.out_keys or []:
+            if isinstance(key, tuple) and key[0] == "measured" and key[1] in read:
+                raise ValueError(
+                    f"transforms.{name} must come before {read[key[1]]}, which reads {key[1]}: "
+                    f"give it before: {read[key[1]]}."
+                )
+        if getattr(transform, "measured", False) is True:
+            read |= dict.fromkeys(transform.in_keys, name)
 
 
 def left_out(training_only: Mapping[str, bool] | Collection[str]) -> list[str]:
