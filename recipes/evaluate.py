@@ -103,8 +103,10 @@ def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
             f"keep must name what evaluation leaves out ({', '.join(training_only)}), "
             f"got {unknown[0]}."
         )
-    kept = dict.fromkeys(names, False)
-    return OmegaConf.merge(env_cfg, {"training_only": kept}) if kept else env_cfg
+    kept = env_cfg.copy()
+    for name in names:
+        kept.training_only[name] = False
+    return kept
 
 
 def evaluate(
