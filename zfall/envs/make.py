@@ -84,6 +84,8 @@ def _check_measured(built: Mapping[str, Transform]) -> None:
     """Refuses sensing that comes too late: the observation would quietly go without it."""
     read: dict[Any, str] = {}
     for name, transform in built.items():
+        if type(transform).out_keys is not Transform.out_keys:
+            continue  # TorchRL's InitTracker looks for its keys in the env it will get
         for key in transform.out_keys or []:
             if isinstance(key, tuple) and key[0] == "measured" and key[1] in read:
                 raise ValueError(
