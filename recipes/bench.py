@@ -39,9 +39,7 @@ def main(cfg: DictConfig) -> None:
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():
-        speed = key in ("limit", "env", "env_full", "train_mlp", "train_gru") or key.startswith(
-            "peer/"
-        )
+        speed = not key.startswith("transform/") and not key.endswith("_efficiency")
         out.add_row(key, f"{value:.0f} control steps/s" if speed else f"{value:.3f}")
     console.print(out, f"wrote {folder}/bench.json")
 
