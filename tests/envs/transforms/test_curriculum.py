@@ -118,6 +118,10 @@ def test_presets_go_together_and_evaluation_leaves_all_of_them_out(compose_confi
     check_env_specs(instantiate(cfg))
     kept = {name for name, only in cfg.training_only.items() if not only}
     assert kept == set()
+    evaluation = instantiate(cfg, training=False)
+    check_env_specs(evaluation)
+    made = {type(transform).__name__ for transform in evaluation.transform}
+    assert made.isdisjoint({"RandomPush", "Curriculum", "DomainRandomization", "ObservationNoise"})
     assert {"push", "curriculum", "randomization", "noise"} <= set(cfg.training_only)
 
 
