@@ -203,8 +203,8 @@ class HumanoidEnv(EnvBase):
         """Makes the env also write what ``keys`` are after each of the S physics steps.
 
         ``("substeps", key)`` ``(N, S, ...)``: entry s is the value after physics step s, so that
-        the last one is ``key`` itself (but for ``base_acceleration``, which is a mean over the
-        step); after a reset all are those of the new state. To be called before transforms wrap
+        the last one is ``key`` itself (but for ``base_acceleration`` and ``joint_torque``, which
+        are means over the step); after a reset all are those of the new state. To be called before transforms wrap
         the env.
 
         Raises:

@@ -14,6 +14,7 @@ from zfall.envs.rotations import rotate_inverse, up_axis
 SUBSTEP_KEYS = (
     "joint_position",
     "joint_velocity",
+    "joint_torque",
     "base_position",
     "base_orientation",
     "projected_gravity",
@@ -130,6 +131,7 @@ class Quantities:
         read: dict[str, Callable[[], Tensor]] = {
             "joint_position": lambda: qpos.float().index_select(-1, self.qpos_index),
             "joint_velocity": lambda: qvel.float().index_select(-1, self.qvel_index),
+            "joint_torque": lambda: sensors.index_select(-1, self._torque),
             "base_position": lambda: qpos[..., :3],
             "base_orientation": lambda: qpos[..., 3:7],
             "projected_gravity": lambda: _gravity(

@@ -1,4 +1,4 @@
-"""Quantities over time, for terms that have no memory of their own."""
+"""The action of the step before."""
 
 from tensordict import TensorDictBase
 from torchrl.data import Composite
