@@ -204,8 +204,8 @@ class HumanoidEnv(EnvBase):
 
         ``("substeps", key)`` ``(N, S, ...)``: entry s is the value after physics step s, so that
         the last one is ``key`` itself (but for ``base_acceleration`` and ``joint_torque``, which
-        are means over the step); after a reset all are those of the new state. To be called before transforms wrap
-        the env.
+        are means over the step); after a reset all are those of the new state. To be called before
+        transforms wrap the env.
 
         Raises:
             ValueError: on a key that is not known at every physics step.
