@@ -1,6 +1,6 @@
 """The robot in dm_control's ``Physics``: quantities by name, and the step of a task."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zfall.envs.robots import ZEROTH01, Robot
-from zfall.envs.simulation import BOUND
+from zfall.envs.simulation import BOUND, site_poses
 
 Array = NDArray[np.float64]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -190,14 +190,9 @@ class PhysicsSimulation:
                 getattr(owner, name)[:] = value[0].numpy()
             mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
-    def sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
-        """Sensor values ``(K, nsensordata)`` of any states; arguments as in ``reset``."""
-        data = mujoco.MjData(self.model)
-        sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)
-        for row, state in enumerate(zip(qpos, qvel, control, strict=True)):
-            self._forward(data, *state)
-            sensors[row] = torch.from_numpy(data.sensordata)
-        return sensors
+    def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Positions and rotations of sites; see ``Simulation.site_poses``."""
+        return site_poses(self.model, mujoco.MjData(self.model), qpos, sites)
 
     def _forward(self, data: mujoco.MjData, qpos: Tensor, qvel: Tensor, control: Tensor) -> None:
         mujoco.mj_resetData(self.model, data)

@@ -16,7 +16,6 @@ from zfall.envs.model import Ball, compile_model, push_targets, sensor_slices
 from zfall.envs.parameters import PhysicsParameters
 from zfall.envs.quantities import SUBSTEP_KEYS, Quantities
 from zfall.envs.robots import ZEROTH01, PushPoint, Robot
-from zfall.envs.rotations import up_axis
 from zfall.envs.simulation import Simulation
 
 START_KEYS = (
@@ -136,6 +135,7 @@ class HumanoidEnv(EnvBase):
         joints = [model.joint(name) for name in robot.joints]
         self.joint_range = torch.from_numpy(np.stack([j.range for j in joints])).float()
         self.stand_position = torch.tensor(robot.stand_position)
+        self._soles = [int(model.sensor(f"feet_position/{foot}").objid[0]) for foot in robot.feet]
         self.servo_time_constant = _servo_time_constant(model, robot)
         self._recorded: tuple[str, ...] = ()
         self._stand = torch.tensor(model.key("stand").qpos.copy())
@@ -319,14 +319,13 @@ class HumanoidEnv(EnvBase):
             state[:, columns] = value[rows].double()
         control = self.stand_position.double()[self._to_actuators].repeat(count, 1)
         if start and "base_position" not in start:
-            qpos[:, 2] -= self._clearance(qpos, qvel, control, rows)
+            qpos[:, 2] -= self._clearance(qpos)
         return self.simulation.reset(rows, qpos, qvel, control)
 
-    def _clearance(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
+    def _clearance(self, qpos: Tensor) -> Tensor:
         """Height of the lowest corner of the soles above the floor ``(K,)`` [m]."""
-        sensors = self.simulation.sensors_of(qpos, qvel, control, rows)
-        position, orientation = self._quantities.soles(sensors)
-        slope = up_axis(orientation)[..., :2].abs()
+        position, rotation = self.simulation.site_poses(qpos, self._soles)
+        slope = rotation[..., 2, :2].abs()
         drop = (slope * slope.new_tensor(self.robot.sole_half_size)).sum(-1)
         return (position[..., 2] - drop).amin(-1)
 

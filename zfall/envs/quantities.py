@@ -143,16 +143,6 @@ class Quantities:
         }
         return {key: read[key]().float() for key in keys}
 
-    def soles(self, sensors: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions ``(K, 2, 3)`` and orientations ``(K, 2, 4)`` of the soles alone.
-
-        Args:
-            sensors: sensor values of K states ``(K, nsensordata)``.
-        """
-        keys = ("feet_position", "feet_orientation")
-        position, orientation = (sensors[:, self._last[key]] for key in keys)
-        return position, orientation
-
     def _peak_force(self, values: Tensor) -> Tensor:
         """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
         x, y, z = (values[..., self._forces] @ self._region).chunk(3, -1)

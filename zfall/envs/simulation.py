@@ -2,6 +2,7 @@
 
 import copy
 import os
+from collections.abc import Sequence
 
 import mujoco
 import torch
@@ -19,8 +20,21 @@ BOUND = 1e6
 
 def _largest(values: Tensor) -> Tensor:
     """Largest absolute value of each world ``(N,)``, not a number if one is not."""
-    flat = values.flatten(1)
-    return torch.maximum(flat.amax(1), -flat.amin(1))
+    return values.flatten(1).abs().amax(1)
+
+
+def site_poses(
+    model: mujoco.MjModel, data: mujoco.MjData, qpos: Tensor, sites: Sequence[int]
+) -> tuple[Tensor, Tensor]:
+    """Positions and rotations of sites, see ``Simulation.site_poses``; ``data`` is scratch."""
+    position = torch.empty(len(qpos), len(sites), 3, dtype=torch.float64)
+    rotation = torch.empty(len(qpos), len(sites), 9, dtype=torch.float64)
+    into = zip(qpos.numpy(), position.numpy(), rotation.numpy(), strict=True)
+    for state, place, axes in into:  # kinematics alone: some microseconds each
+        data.qpos[:] = state
+        mujoco.mj_kinematics(model, data)
+        place[:], axes[:] = data.site_xpos[sites], data.site_xmat[sites]
+    return position, rotation.unflatten(-1, (3, 3))
 
 
 class Simulation:
@@ -115,7 +129,7 @@ class Simulation:
         """
         self._state[rows] = self._full_state(qpos, qvel)
         self._states[rows] = self._state[rows, None]
-        self._sensors[rows] = self.sensors_of(qpos, qvel, control, rows)[:, None]
+        self._sensors[rows] = self._sensors_of(qpos, qvel, control, rows)[:, None]
         self.diverged = self.diverged & ~rows
         return self._sensors
 
@@ -142,17 +156,29 @@ class Simulation:
             if derive:
                 mujoco.mj_setConst(model, self._data[0])
 
-    def sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
-        """Sensor values ``(K, nsensordata)`` of any states; arguments as in ``reset``."""
-        state = self._full_state(qpos, qvel)
-        inputs = torch.zeros(len(state), 1, self._inputs.shape[-1], dtype=torch.float64)
-        inputs[:, 0, : self.model.nu] = control
-        states = torch.empty(len(state), 1, state.shape[-1], dtype=torch.float64)
-        sensors = torch.empty(len(state), 1, self.model.nsensordata, dtype=torch.float64)
-        if len(state):  # the sensors of a step are those of the state before it
-            models = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
-            self._roll(models, state, inputs, states, sensors)
-        return sensors[:, 0]
+    def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Positions ``(K, n, 3)`` [m] and rotation matrices ``(K, n, 3, 3)`` of n sites.
+
+        Args:
+            qpos: any states ``(K, nq)`` float64.
+            sites: numbers of the sites in the model.
+        """
+        return site_poses(self.model, self._data[0], qpos, sites)
+
+    def _sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
+        """Sensor values ``(K, nsensordata)`` of new states; arguments as in ``reset``."""
+        # A loop, for these are few rows between two steps: the pool would take longer to wake up.
+        data = self._data[0]
+        sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)
+        data.time, data.xfrc_applied[:] = 0.0, 0.0
+        states = zip(qpos.numpy(), qvel.numpy(), control.numpy(), sensors.numpy(), strict=True)
+        numbers = rows.nonzero()[:, 0].tolist()
+        for row, (position, velocity, target, values) in zip(numbers, states, strict=True):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = position, velocity, target
+            data.qacc_warmstart[:] = 0.0
+            mujoco.mj_forward(self._models[row], data)
+            values[:] = data.sensordata
+        return sensors
 
     def _full_state(self, qpos: Tensor, qvel: Tensor) -> Tensor:
         state = torch.zeros(len(qpos), self._state.shape[1], dtype=torch.float64)
