@@ -1,7 +1,8 @@
 """What others would use for the same robot and the same work, measured by ``recipes.bench``.
 
 Every peer takes the same number of physics steps of the same MJCF per control step, with the
-same actions around the standing pose, and starts anew when the robot falls.
+same actions around the standing pose, and starts anew when the robot falls. gymnasium's and the
+dm_control face's do the whole task of ``push_recovery``; TorchRL's does the simplest one.
 """
 
 import os
@@ -9,11 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import gymnasium
 import mujoco
-import numpy as np
 import torch
-from gymnasium.envs.mujoco import MujocoEnv as GymnasiumMujocoEnv
 from gymnasium.vector import AsyncVectorEnv
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
@@ -21,11 +19,10 @@ from torch import Tensor
 from torchrl.envs import DMControlWrapper, EnvBase, ParallelEnv
 from torchrl.envs.custom.mujoco import MujocoEnv as TorchrlMujocoEnv
 
+from recipes.gymnasium_peer import SCALE, SUBSTEPS, GymnasiumPeer
 from zfall.envs.dm_task import load
 from zfall.envs.robots import ZEROTH01
 
-SUBSTEPS = 10  # physics steps of 4 ms in a control step of 40 ms, as in push_recovery
-SCALE = 0.6  # angle by which an action of 1 turns a servo [rad]
 FALLEN = 0.18  # height of the base [m]
 MANY = 8  # workers, where cores may be too few to hide the waiting
 
@@ -68,7 +65,7 @@ def run_torchrl_mujoco_env(actions: Tensor, seconds: float) -> float:
 
 
 def run_gymnasium_async(actions: Tensor, seconds: float) -> float:
-    """gymnasium's ``AsyncVectorEnv`` over its own ``MujocoEnv``."""
+    """gymnasium's ``AsyncVectorEnv`` over its own ``MujocoEnv``, see ``GymnasiumPeer``."""
     env = AsyncVectorEnv([GymnasiumPeer] * actions.shape[1], context="spawn")
     env.reset(seed=0)
     table = actions.numpy()
@@ -119,29 +116,6 @@ class TorchrlPeer(TorchrlMujocoEnv):
 
     def _compute_done(self, state: TensorDictBase, next_state: TensorDictBase) -> Tensor:
         return next_state["qpos"][:, 2:3] < FALLEN
-
-
-class GymnasiumPeer(GymnasiumMujocoEnv):
-    """The robot as a ``MujocoEnv`` of gymnasium, with the simplest of tasks."""
-
-    metadata = {"render_modes": []}
-
-    def __init__(self) -> None:
-        super().__init__(ZEROTH01.mjcf, SUBSTEPS, observation_space=None)
-        size = self.model.nq + self.model.nv
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
-        self._stand, self._reference = stand_pose(self.model)
-
-    def step(self, action: Array) -> tuple[Array, np.float64, bool, bool, dict[str, np.float64]]:
-        self.do_simulation(self._reference + SCALE * action, self.frame_skip)
-        height = self.data.qpos[2]
-        return self.state_vector(), height, bool(height < FALLEN), False, {}
-
-    def reset_model(self) -> Array:
-        self.data.qpos[:] = self._stand
-        mujoco.mj_forward(self.model, self.data)
-        return self.state_vector()
 
 
 def stand_pose(model: mujoco.MjModel) -> tuple[Array, Array]:
