@@ -46,3 +46,17 @@ def test_peaks_before_the_push_do_not_count(make_base):
     for _ in range(10):
         outcomes.update(record(len(env.regions)))
     assert (outcomes.table()["peak_base_acceleration"] < 10).all()
+
+
+def test_peaks_count_for_half_a_second_after_the_touch_and_then_the_trial_is_settled(make_base):
+    """World 0 falls at the end of step 9; steps 10 to 21 end within 0.5 s of it, 23 does not."""
+    env = make_base(num_envs=3)
+    outcomes = Outcomes(env, load_battery("planar", push_time=0.2, end_time=2.0))
+    for step in range(1, 26):
+        force, shock = torch.zeros(3, len(env.regions)), torch.full((3, 1), 10.0)
+        force[0, 1] = 50.0 if step == 9 else 0.0
+        shock[0] = {21: 70.0, 23: 99.0}.get(step, 10.0)
+        td = record(len(env.regions), contact_force_peak=force, base_acceleration_peak=shock)
+        outcomes.update(td)
+        assert outcomes.settled.tolist() == [step >= 22, False, False]
+    assert outcomes.table()["peak_base_acceleration"][0] == 70.0

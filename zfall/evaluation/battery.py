@@ -172,7 +172,7 @@ def run_battery(
         for step, td in enumerate(play(env, actor, steps)):
             outcomes.update(td)
             progress(index * steps + step + 1, len(chunks) * steps)
-            if outcomes.fell.all():
+            if outcomes.settled.all():
                 break
         results.append(outcomes.table().iloc[: len(chunk)])
     measured = pd.concat(results, ignore_index=True)

@@ -13,13 +13,16 @@ from zfall.envs.terms.falls import body_contact
 if TYPE_CHECKING:
     from zfall.evaluation.battery import Battery
 
+AFTERMATH = 0.5  # time after the first touch in which peaks still count [s]
+
 
 class Outcomes:
     """Follows the trials of a chunk step by step.
 
     ``fell``: any region but the feet touched the floor (or the physics failed). ``recovered``:
     not fallen until the end, and then upright and high enough. Peaks are taken from the push on,
-    over physics steps, until the trial ends or for half a second after the first touch.
+    over physics steps, until the trial ends or for half a second after the first touch; then a
+    trial is ``settled``: nothing that follows counts.
 
     Args:
         env: the base env.
@@ -33,6 +36,7 @@ class Outcomes:
         self.regions = env.regions
         self.time = 0.0
         self.fell = torch.zeros(n, dtype=torch.bool)
+        self.settled = torch.zeros(n, dtype=torch.bool)
         self.time_to_fall = torch.full((n,), torch.nan)
         self.peak_base_acceleration = torch.zeros(n)
         self.peak_contact_force = torch.zeros(n, len(env.regions))
@@ -49,8 +53,9 @@ class Outcomes:
         self.time_to_fall = torch.where(first, since_push, self.time_to_fall)
         angle = tilt(td["base_orientation"])
         self.upright = (angle < self.battery.max_tilt) & (td["com_position"][:, 2] > self.height)
+        self.settled = self.fell & (since_push >= self.time_to_fall + AFTERMATH)
         if since_push > 1e-6:
-            counted = ~self.fell | (since_push < self.time_to_fall + 0.5)
+            counted = ~self.settled
             for name, value in (
                 ("peak_base_acceleration", td["base_acceleration_peak"].squeeze(-1)),
                 ("peak_contact_force", td["contact_force_peak"]),
