@@ -7,6 +7,7 @@ from ctypes.util import find_library
 import gymnasium
 
 TASKS = (
+    "atalante_standing",
     "push_recovery",
     "push_recovery_realistic",
 )  # the tables of recipes/env that gymnasium knows by name

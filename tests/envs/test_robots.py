@@ -180,3 +180,19 @@ def test_mirrored_poses_are_mirror_images(model):
 
 def test_impulse_of_size_one_is_that_of_the_docs():
     assert ZEROTH01.impulse_unit == pytest.approx(4.92, abs=0.005)  # m sqrt(g h0)
+
+
+def test_joints_of_the_legs_are_those_that_lead_to_the_feet(model):
+    between = set()
+    for foot in ZEROTH01.feet:
+        body = int(model.site(f"{foot}_sole").bodyid[0])
+        while body:
+            first = model.body_jntadr[body]
+            if model.body_jntnum[body] and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_HINGE:
+                between.add(model.joint(int(first)).name)
+            body = model.body_parentid[body]
+    assert set(ZEROTH01.legs) == between
+    assert [ZEROTH01.joints[i] for i in ZEROTH01.index_of("legs")] == list(ZEROTH01.legs)
+    assert ZEROTH01.index_of("all") == tuple(range(20))
+    with pytest.raises(ValueError, match="joints must be all or legs, got 'arms'"):
+        ZEROTH01.index_of("arms")

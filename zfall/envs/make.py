@@ -6,6 +6,8 @@ from typing import Any
 
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torchrl.data import Composite
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
@@ -55,7 +57,26 @@ def make_env(
     _check_measured(built)
     before = [transform for transform in built.values() if transform.in_keys_inv]
     after = [transform for transform in built.values() if not transform.in_keys_inv]
+    if "substeps" in env.observation_spec.keys():
+        after.append(_DropSubsteps())
     return TransformedEnv(env, Compose(*reversed(before), *after))
+
+
+class _DropSubsteps(Transform):
+    """Takes ``substeps`` out once all transforms have read them: rollouts need not store them."""
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        del next_tensordict["substeps"]
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        del observation_spec["substeps"]
+        return observation_spec
 
 
 def _in_place(

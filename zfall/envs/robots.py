@@ -45,6 +45,7 @@ class Robot:
             right are exchanged.
         com_height: height of the center of mass above the floor in the standing pose [m].
         mass: total mass [kg].
+        legs: the joints of the legs.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Robot:
     mirror_keeps_sign: tuple[str, ...]
     com_height: float
     mass: float
+    legs: tuple[str, ...] = ()
 
     @property
     def stand_position(self) -> tuple[float, ...]:
@@ -81,6 +83,18 @@ class Robot:
         """Factor on each joint's angle when left and right are exchanged, 1 or -1."""
         keeps = self.mirror_keeps_sign
         return tuple(1.0 if any(w in joint for w in keeps) else -1.0 for joint in self.joints)
+
+    def index_of(self, group: str) -> tuple[int, ...]:
+        """Positions in ``joints`` of those of a group: ``all`` or ``legs``.
+
+        Raises:
+            ValueError: on another name, or if the robot has none.
+        """
+        groups = {"all": self.joints, "legs": self.legs}
+        if not groups.get(group):
+            there = " or ".join(name for name, joints in groups.items() if joints)
+            raise ValueError(f"joints must be {there}, got {group!r}.")
+        return tuple(self.joints.index(joint) for joint in groups[group])
 
 
 _LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee_pitch", "ankle_pitch", "ankle_roll")
@@ -132,4 +146,5 @@ ZEROTH01 = Robot(
     mirror_keeps_sign=("hip_pitch", "knee_pitch", "ankle_pitch"),
     com_height=0.220,
     mass=3.3494,
+    legs=tuple(f"{side}_{joint}" for side in ("right", "left") for joint in _LEG),
 )

@@ -29,3 +29,67 @@ def tilt(quaternion: Tensor) -> Tensor:
     """Angle between the body's and the world's up axes ``(*B,)`` [rad], in [0, pi]."""
     up = up_axis(quaternion)
     return torch.atan2(up[..., :2].norm(dim=-1), up[..., 2])
+
+
+def roll_and_pitch(up: Tensor) -> Tensor:
+    """Roll and pitch ``(*B, 2)`` [rad] of a body, from a vector ``(*B, 3)`` in its axes that
+    points up in the world: intrinsic rotations about z, y, x, positive to the right and forward.
+    """
+    x, y, z = up.unbind(-1)
+    return torch.stack([torch.atan2(y, z), torch.atan2(-x, torch.hypot(y, z))], -1)
+
+
+def heading(quaternion: Tensor) -> Tensor:
+    """Angle ``(*B, 1)`` [rad] in (-pi, pi] by which the body is turned about the vertical.
+
+    The first of the intrinsic rotations about z, y, x that lead to it.
+    """
+    w, x, y, z = quaternion.split(1, -1)
+    return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def wrap(angle: Tensor) -> Tensor:
+    """The same angle in [-pi, pi) [rad]."""
+    return torch.remainder(angle + torch.pi, 2.0 * torch.pi) - torch.pi
+
+
+def turn_between(start: Tensor, end: Tensor) -> Tensor:
+    """Quaternion ``(*B, 4)`` of the turn from one orientation to another, in the first one's axes.
+
+    ``conjugate(start) * end``.
+    """
+    w, axis = start[..., :1], -start[..., 1:]
+    v, other = end[..., :1], end[..., 1:]
+    scalar = w * v - (axis * other).sum(-1, keepdim=True)
+    return torch.cat([scalar, w * other + v * axis + torch.linalg.cross(axis, other)], -1)
+
+
+def rotation_vector(quaternion: Tensor) -> Tensor:
+    """Axis times angle ``(*B, 3)`` [rad] of the shorter way round, the logarithm of a rotation."""
+    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    axis = quaternion[..., 1:]
+    sine = axis.norm(dim=-1, keepdim=True)
+    angle = 2.0 * torch.atan2(sine, quaternion[..., :1])
+    return axis * torch.where(sine > 1e-7, angle / sine.clamp_min(1e-7), 2.0)
+
+
+def turn_to_heading(quaternion: Tensor, vector: Tensor) -> Tensor:
+    """A level vector ``(*B, 2)`` of the world, seen along the heading of a body.
+
+    Args:
+        quaternion: orientation of the body ``(*B, 4)``.
+        vector: in world axes.
+    """
+    angle = heading(quaternion)
+    cos, sin = angle.cos(), angle.sin()
+    x, y = vector.split(1, -1)
+    return torch.cat([cos * x + sin * y, cos * y - sin * x], -1)
+
+
+def mean_orientation(left: Tensor, right: Tensor) -> Tensor:
+    """Orientation halfway between two ``(*B, 4)``: their sum, normalised.
+
+    A quaternion and its negative mean the same, so the second is given the sign of the first.
+    """
+    same = (left * right).sum(-1, keepdim=True) >= 0
+    return torch.nn.functional.normalize(left + torch.where(same, right, -right), dim=-1)

@@ -8,7 +8,14 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 
 from zfall.envs.robots import ZEROTH01
-from zfall.envs.terms.feet import balanced_load, centered_pressure, feet_in_contact, flat_feet
+from zfall.envs.terms.feet import (
+    balanced_load,
+    carried_weight,
+    centered_pressure,
+    feet_in_contact,
+    flat_feet,
+    tangential_force,
+)
 
 NONE = TensorDict(batch_size=[3])
 CONTACT = torch.tensor([[True, True], [True, False], [False, False]])
@@ -49,3 +56,22 @@ def test_feet_are_flat_whatever_their_heading(angle):
     expected = 0.5 + 0.5 * 0.01 ** ((1 - math.cos(angle)) ** 2 / 0.05**2)
     value = flat_feet(NONE, td, cutoff=0.05, epsilon=0.01).item()
     assert value == pytest.approx(expected, abs=1e-4)
+
+
+def test_weight_is_carried_by_both_feet_or_by_one():
+    """m g = 32.86 N: in the air all of it is missing."""
+    weight = 3.3494 * 9.81
+    force = torch.zeros(3, 2, 3)
+    force[0, :, 2] = torch.tensor([0.7, 0.3]) * weight
+    force[1, 1, 2] = weight
+    td = TensorDict({"feet_force": force}, batch_size=[3])
+    value = carried_weight(NONE, td, robot=ZEROTH01, cutoff=weight, epsilon=0.01)
+    assert_close(value[:, 0], torch.tensor([1.0, 1.0, 0.01]), atol=1e-4, rtol=0)
+
+
+def test_sideways_forces_count_in_full_though_they_cancel():
+    """3 N inward at each foot and 4 N forward at one: sqrt(9 + 9 + 16)."""
+    force = torch.tensor([[[0.0, -3.0, 16.0], [4.0, 3.0, 17.0]]])
+    td = TensorDict({"feet_force": force}, batch_size=[1])
+    value = tangential_force(NONE, td, cutoff=34**0.5, epsilon=0.2)
+    assert value.item() == pytest.approx(0.2)

@@ -11,13 +11,12 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.make import make_env
-from zfall.envs.rotations import rotate_inverse
+from zfall.envs.rotations import roll_and_pitch, rotate_inverse
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.estimation import (
     JointVelocityKalmanFilter,
     NumericalVelocity,
     TiltKalmanFilter,
-    roll_and_pitch,
     steady_update,
 )
 from zfall.envs.transforms.observations import ObservationNoise, ObservationVector

@@ -16,7 +16,7 @@ from zfall.envs.model import Ball
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
-_ESTIMATION = "zfall.envs.transforms.estimation"
+_ESTIMATION, _WINDOWS = "zfall.envs.transforms.estimation", "zfall.envs.transforms.windows"
 TARGETS = {
     "position": {"_target_": f"{_ACTIONS}.JointPositionTarget", "scale": 0.6},
     "velocity": {"_target_": f"{_ACTIONS}.JointVelocityTarget", "limit": 3.0, "rate": 125},
@@ -67,7 +67,13 @@ TABLE = {  # in the order of a yaml
             "slope": {"uniform": [-0.05, 0.05]},
         },
     },
-    "last_action": {"_target_": "zfall.envs.transforms.windows.LastAction"},
+    "last_action": {"_target_": f"{_WINDOWS}.LastAction"},
+    "mean": {"_target_": f"{_WINDOWS}.MeanVelocity"},
+    "momentum": {"_target_": f"{_WINDOWS}.MomentumRate"},
+    "gone": {"_target_": f"{_WINDOWS}.OdometryDisplacement", "seconds": 0.2},
+    "error": {"_target_": f"{_WINDOWS}.JointErrorMin", "seconds": 0.16},
+    "stop": {"_target_": f"{_WINDOWS}.JointStopSpeed"},
+    "power": {"_target_": f"{_WINDOWS}.JointPower"},
     "fall": {
         "_target_": "zfall.envs.transforms.terminations.Terminations",
         "conditions": {
@@ -100,6 +106,7 @@ TABLE = {  # in the order of a yaml
         "keys": ["joint_position"],
     },
     "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
+    "angles": {"_target_": f"{_SENSING}.TiltAngles"},
     "speed": {"_target_": f"{_ESTIMATION}.JointVelocityKalmanFilter"},
     "observation": {
         "_target_": f"{_SENSING}.ObservationVector",
@@ -112,6 +119,8 @@ TABLES = st.tuples(
     st.sampled_from(list(TARGETS)),
     st.sets(st.sampled_from(list(TABLE)), min_size=1).map(lambda names: names | {"limit"}),
 )
+# Both measure the same; each goes with one kind of target.
+TILTS = {"position": "tilt", "velocity": "angles"}
 EVERYTHING = ("position", set(TABLE))
 
 
@@ -119,6 +128,7 @@ def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
     target, names = table
     if "curriculum" in names:
         names = names | {"start"}
+    names = names - (set(TILTS.values()) - {TILTS[target]})
     base = HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=Ball(mass=0.2, radius=0.03))
     chosen = {name: TABLE[name] for name in TABLE if name in names}
     env = make_env(base, {"action": TARGETS[target]} | copy.deepcopy(chosen))

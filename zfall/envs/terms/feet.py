@@ -59,3 +59,31 @@ def flat_feet(
     """
     level = up_axis(next_td["feet_orientation"])[..., 2:]
     return rbf(level, 1.0, cutoff=cutoff, epsilon=epsilon).mean(-2)
+
+
+def carried_weight(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+) -> Tensor:
+    """High when the feet together carry the robot: ``rbf(sum F_z, m g)``.
+
+    Reads ``feet_force`` ``(*B, 2, 3)`` [N; world]; ``cutoff`` [N]. Returns ``(*B, 1)`` in (0, 1].
+
+    Source: Duburcq et al., IROS 2022, section IV-D.3 (balanced contact forces). The contact
+    states by which it multiplies each force change nothing: without contact there is no force,
+    and in its standing reference both feet are on the floor.
+    """
+    load = next_td["feet_force"][..., 2].sum(-1, keepdim=True)
+    return rbf(load, robot.mass * GRAVITY, cutoff=cutoff, epsilon=epsilon)
+
+
+def tangential_force(
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+) -> Tensor:
+    """High when no foot pushes sideways: ``rbf(F_xy, 0)`` over both feet.
+
+    Reads ``feet_force`` ``(*B, 2, 3)`` [N; world]; ``cutoff`` [N]. Returns ``(*B, 1)`` in (0, 1].
+
+    Source: Duburcq et al., IROS 2022, section IV-D.3 (ground friction).
+    """
+    force = next_td["feet_force"][..., :2].flatten(-2)
+    return rbf(force, 0.0, cutoff=cutoff, epsilon=epsilon)

@@ -15,6 +15,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.rotations import roll_and_pitch
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.starts import reset_rows
 
@@ -48,14 +49,6 @@ def steady_update(kalman: KalmanFilter) -> Tensor:
     if kalman.B is not None:
         columns.insert(1, keep @ kalman.B)
     return torch.from_numpy(np.concatenate(columns, 1).T.copy()).float()
-
-
-def roll_and_pitch(up: Tensor) -> Tensor:
-    """Roll and pitch ``(*B, 2)`` [rad] of a body, from a vector ``(*B, 3)`` in its axes that
-    points up in the world: intrinsic rotations about z, y, x, positive to the right and forward.
-    """
-    x, y, z = up.unbind(-1)
-    return torch.stack([torch.atan2(y, z), torch.atan2(-x, torch.hypot(y, z))], -1)
 
 
 class TiltKalmanFilter(Transform):

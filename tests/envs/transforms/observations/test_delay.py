@@ -11,7 +11,8 @@ from zfall.envs.quantities import SUBSTEP_KEYS
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationDelay, ObservationNoise
 
-STATE_KEYS = [key for key in SUBSTEP_KEYS if key != "base_acceleration"]
+MEANS = ("base_acceleration", "joint_torque")  # over the step; the substeps hold single values
+STATE_KEYS = [key for key in SUBSTEP_KEYS if key not in MEANS]
 
 
 def delayed(make_base, values: dict, **kwargs):

@@ -16,6 +16,7 @@ from zfall.envs.transforms.observations.delay import ObservationDelay
 from zfall.envs.transforms.observations.dropout import ObservationDropout
 from zfall.envs.transforms.observations.noise import ObservationNoise
 from zfall.envs.transforms.observations.quantization import Quantization
+from zfall.envs.transforms.observations.tilt import TiltAngles
 from zfall.envs.transforms.observations.vector import ObservationVector
 
 __all__ = [
@@ -26,4 +27,5 @@ __all__ = [
     "ObservationRandomWalk",
     "ObservationVector",
     "Quantization",
+    "TiltAngles",
 ]

@@ -21,9 +21,9 @@ class ObservationDelay(Transform):
     before the one seen last. ``base_acceleration`` is then that of one physics step, not the mean
     over a control step, with a delay of 0 too.
 
-    Keys: takes ``("substeps", key)`` ``(N, S, ...)`` out of the TensorDict (rollouts need not
-    store it) and writes ``("measured", key)`` ``(N, ...)``. It must stand before all transforms
-    that measure the same keys: noise, bias and the like act on what it delivers.
+    Keys: reads ``("substeps", key)`` ``(N, S, ...)`` and writes ``("measured", key)``
+    ``(N, ...)``. It must stand before all transforms that measure the same keys: noise, bias and
+    the like act on what it delivers.
 
     Args:
         env: the base env, which is made to record ``keys`` at every physics step.
@@ -69,15 +69,12 @@ class ObservationDelay(Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
             self.lag = self._lags.draw(self.delay, self.lag.shape)
-        new = self._take(next_tensordict)
+        new = self._read(next_tensordict)
         self.history = torch.cat([self.history[:, self.substeps :], new], 1)
         return self._deliver(next_tensordict)
 
-    def _take(self, tensordict: TensorDictBase) -> Tensor:
-        values = torch.cat([tensordict.pop(("substeps", key)) for key in self.keys], -1)
-        if tensordict["substeps"].is_empty():
-            del tensordict["substeps"]
-        return values
+    def _read(self, tensordict: TensorDictBase) -> Tensor:
+        return torch.cat([tensordict["substeps", key] for key in self.keys], -1)
 
     def _deliver(self, tensordict: TensorDictBase) -> TensorDictBase:
         late = self.history[self.row, self.history.shape[1] - 1 - self.lag]
@@ -92,7 +89,7 @@ class ObservationDelay(Transform):
         if self.per == "episode":
             lag = self._lags.draw(self.delay, self.lag.shape)
             self.lag = torch.where(rows, lag, self.lag)
-        self.history[rows] = self._take(tensordict_reset)[rows, -1:]
+        self.history[rows] = self._read(tensordict_reset)[rows, -1:]
         return self._deliver(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -103,8 +100,5 @@ class ObservationDelay(Transform):
                     "ObservationDelay before the other transforms that measure it, and name each "
                     "key in one ObservationDelay only."
                 )
-            del observation_spec["substeps", key]
-        if not list(observation_spec["substeps"].keys()):
-            del observation_spec["substeps"]
         declare_measured(observation_spec, "keys", self.keys)
         return observation_spec

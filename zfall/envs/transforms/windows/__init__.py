@@ -1,5 +1,19 @@
 """Quantities over time, for terms that have no memory of their own."""
 
+from zfall.envs.transforms.windows.joint_error_min import JointErrorMin
+from zfall.envs.transforms.windows.joint_power import JointPower
+from zfall.envs.transforms.windows.joint_stop_speed import JointStopSpeed
 from zfall.envs.transforms.windows.last_action import LastAction
+from zfall.envs.transforms.windows.mean_velocity import MeanVelocity
+from zfall.envs.transforms.windows.momentum_rate import MomentumRate
+from zfall.envs.transforms.windows.odometry_displacement import OdometryDisplacement
 
-__all__ = ["LastAction"]
+__all__ = [
+    "JointErrorMin",
+    "JointPower",
+    "JointStopSpeed",
+    "LastAction",
+    "MeanVelocity",
+    "MomentumRate",
+    "OdometryDisplacement",
+]
