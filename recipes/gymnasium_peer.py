@@ -28,6 +28,11 @@ class GymnasiumPeer(MujocoEnv):
     """
 
     metadata = {"render_modes": []}
+    _action: Array
+    _target: Array
+    _force: Array
+    _start: float
+    _clock: int
 
     def __init__(self, training: bool = True) -> None:
         super().__init__(ZEROTH01.mjcf, SUBSTEPS, observation_space=None)
