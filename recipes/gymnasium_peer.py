@@ -60,7 +60,7 @@ class GymnasiumPeer(MujocoEnv):
         size = len(self.reset()[0])
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[Array, np.float64, bool, bool, dict[str, np.float64]]:
         model, data, dt = self.model, self.data, self.model.opt.timestep
         target = np.clip(self._stand + SCALE * np.clip(action, -1.0, 1.0), self._low, self._high)
         torque, touched, pushed = np.zeros(len(self._torque)), False, np.zeros(3)
@@ -89,7 +89,7 @@ class GymnasiumPeer(MujocoEnv):
         )
         self._action, self._target = np.array(action), target
         late = self._clock >= EPISODE
-        return self._observe(up, torque, pushed), float(reward), bool(fell), late, {}
+        return self._observe(up, torque, pushed), np.float64(reward), bool(fell), late, {}
 
     def reset_model(self) -> Array:
         data, rng = self.data, self.np_random
