@@ -10,6 +10,8 @@ TASKS = (
     "atalante_standing",
     "push_recovery",
     "push_recovery_realistic",
+    "icub_balance",
+    "zeroth_fall",
 )  # the tables of recipes/env that gymnasium knows by name
 
 

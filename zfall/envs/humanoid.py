@@ -25,6 +25,7 @@ START_KEYS = (
     "base_orientation",
     "base_linear_velocity",
     "base_angular_velocity",
+    "clearance",
 )
 
 
@@ -75,7 +76,8 @@ class HumanoidEnv(EnvBase):
 
     ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
     its TensorDict say, NAME being one of ``START_KEYS``. Without ``("start", "base_position")``
-    the lowest corner of the soles is put on the floor.
+    the lowest corner of the soles is put on the floor, or ``("start", "clearance")`` ``(N, 1)``
+    [m] above it.
 
     After ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
 
@@ -314,12 +316,14 @@ class HumanoidEnv(EnvBase):
             "base_linear_velocity": (qvel, slice(0, 3)),
             "base_angular_velocity": (qvel, slice(3, 6)),
         }
-        for key, value in start.items():
+        for key in start.keys() & places.keys():
             state, columns = places[key]
-            state[:, columns] = value[rows].double()
+            state[:, columns] = start[key][rows].double()
         control = self.stand_position.double()[self._to_actuators].repeat(count, 1)
         if start and "base_position" not in start:
             qpos[:, 2] -= self._clearance(qpos)
+            if "clearance" in start:
+                qpos[:, 2] += start["clearance"][rows, 0]
         return self.simulation.reset(rows, qpos, qvel, control)
 
     def _clearance(self, qpos: Tensor) -> Tensor:

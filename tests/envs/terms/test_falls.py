@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
 from zfall.envs.robots import ZEROTH01
-from zfall.envs.terms.falls import body_contact, low, tilted
+from zfall.envs.terms.falls import base_height, body_contact, low, tilted
 
 NONE = TensorDict(batch_size=[1])
 
@@ -30,3 +30,9 @@ def test_tilt_beyond_the_angle_counts(angle, expected):
 def test_center_of_mass_below_the_height_counts(height, expected):
     td = TensorDict({"com_position": torch.tensor([[0.0, 0.0, height]])}, batch_size=[1])
     assert low(NONE, td, height=0.15).item() == expected
+
+
+@pytest.mark.parametrize(("height", "expected"), [(0.04, True), (0.3, False), (0.6, True)])
+def test_base_outside_its_heights_counts(height, expected):
+    td = TensorDict({"base_position": torch.tensor([[0.0, 0.0, height]])}, batch_size=[1])
+    assert base_height(NONE, td, lowest=0.05, highest=0.5).item() == expected

@@ -75,3 +75,23 @@ def test_sideways_forces_count_in_full_though_they_cancel():
     td = TensorDict({"feet_force": force}, batch_size=[1])
     value = tangential_force(NONE, td, cutoff=34**0.5, epsilon=0.2)
     assert value.item() == pytest.approx(0.2)
+
+
+def test_weight_of_each_foot_is_twice_that_of_their_mean():
+    td = TensorDict(
+        {
+            "feet_force": torch.tensor([[[0.0, 0, 20.0], [0, 0, 5.0]]]),
+            "feet_cop": torch.tensor([[[0.01, 0.0], [0.0, 0.03]]]),
+            "feet_contact": torch.tensor([[True, True]]),
+            "feet_orientation": torch.tensor([[[0.995, 0.0999, 0.0, 0.0], [1.0, 0, 0, 0]]]),
+        },
+        batch_size=[1],
+    )
+    for term, values in (
+        (balanced_load, {"robot": ZEROTH01, "cutoff": 16.4}),
+        (centered_pressure, {"cutoff": 0.05}),
+        (flat_feet, {"cutoff": 0.05}),
+    ):
+        mean, total = (term(td, td, epsilon=0.01, per_foot=p, **values) for p in (False, True))
+        assert 0 < mean.item() < 1
+        assert_close(total, 2 * mean)

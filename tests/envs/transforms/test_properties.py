@@ -67,6 +67,11 @@ TABLE = {  # in the order of a yaml
             "slope": {"uniform": [-0.05, 0.05]},
         },
     },
+    "command": {
+        "_target_": "zfall.envs.transforms.commands.Command",
+        "ranges": {"vx": [-0.1, 0.3], "height": [-0.02, 0.0]},
+        "interval": [0.08, 0.2],
+    },
     "last_action": {"_target_": f"{_WINDOWS}.LastAction"},
     "mean": {"_target_": f"{_WINDOWS}.MeanVelocity"},
     "momentum": {"_target_": f"{_WINDOWS}.MomentumRate"},
@@ -74,6 +79,8 @@ TABLE = {  # in the order of a yaml
     "error": {"_target_": f"{_WINDOWS}.JointErrorMin", "seconds": 0.16},
     "stop": {"_target_": f"{_WINDOWS}.JointStopSpeed"},
     "power": {"_target_": f"{_WINDOWS}.JointPower"},
+    "air_time": {"_target_": f"{_WINDOWS}.FeetAirTime"},
+    "effort": {"_target_": f"{_WINDOWS}.JointEffort"},
     "fall": {
         "_target_": "zfall.envs.transforms.terminations.Terminations",
         "conditions": {
@@ -108,11 +115,20 @@ TABLE = {  # in the order of a yaml
     "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
     "angles": {"_target_": f"{_SENSING}.TiltAngles"},
     "speed": {"_target_": f"{_ESTIMATION}.JointVelocityKalmanFilter"},
+    "base_pose": {"_target_": f"{_SENSING}.BasePose"},
+    "feet": {"_target_": f"{_SENSING}.FeetInBase"},
+    "imu": {"_target_": f"{_SENSING}.ImuOrientation"},
     "observation": {
         "_target_": f"{_SENSING}.ObservationVector",
         "out_key": "observation",
         "measured": True,
         "keys": [*IMU, "joint_position", "joint_velocity"],
+    },
+    "normalized": {
+        "_target_": f"{_SENSING}.NormalizedVector",
+        "out_key": "observation_critic",
+        "keys": ["joint_position", "base_position"],
+        "ranges": {"joint_position": "joint_range", "base_position": [0.0, 2.0]},
     },
 }
 TABLES = st.tuples(

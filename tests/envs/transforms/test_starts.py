@@ -1,5 +1,6 @@
 """How episodes begin."""
 
+import mujoco
 import pytest
 import torch
 from torch.testing import assert_close
@@ -54,3 +55,46 @@ def test_unknown_state_is_refused(make_base):
 def test_negative_noise_is_refused(make_base):
     with pytest.raises(ValueError, match="joint_velocity must not be negative, got -1"):
         NoisyStart(make_base(), joint_velocity=-1)
+
+
+def lowest_corner(env, td) -> torch.Tensor:
+    """Height of the lowest corner of the soles, from MuJoCo's own kinematics ``(N,)`` [m]."""
+    base = env.base_env
+    model, out = base.simulation.model, []
+    half = torch.tensor([*base.robot.sole_half_size, 0.0], dtype=torch.float64)
+    signs = torch.tensor([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)], dtype=torch.float64)
+    for qpos in base.simulation.qpos.numpy():
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        sites = (data.site(f"{foot}_sole") for foot in base.robot.feet)
+        heights = [s.xpos[2] + (signs * half).numpy() @ s.xmat.reshape(3, 3)[2] for s in sites]
+        out.append(min(h.min() for h in heights))
+    return torch.tensor(out)
+
+
+@pytest.mark.parametrize("clearance", [None, [0.01, 0.03]])
+def test_soles_begin_on_the_floor_or_hang_as_high_over_it_as_was_asked(make_task, clearance):
+    values = {"joint_position": 0.17, "joint_velocity": 1.5, "clearance": clearance}
+    env = make_task({**ACTION, "start": (NoisyStart, values)}, num_envs=64)
+    check_env_specs(env)
+    height = lowest_corner(env, env.reset())
+    if clearance is None:
+        assert_close(height, torch.zeros(64).double(), atol=1e-6, rtol=0)
+        return
+    assert ((height > 0.01 - 1e-6) & (height < 0.03 + 1e-6)).all()
+    assert height.mean().item() == pytest.approx(0.02, abs=0.003)  # 0.0058 / 8, 4 sigma
+    assert height.std().item() == pytest.approx(0.02 / 12**0.5, rel=0.25)
+
+
+def test_clearance_below_the_floor_is_on_it(make_task):
+    env = make_task({**ACTION, "start": (NoisyStart, {"clearance": [-0.02, 0.02]})}, num_envs=400)
+    height = env.reset()["base_position"][:, 2]
+    on_floor = height < height.min() + 1e-6
+    assert 150 < on_floor.sum() < 250  # half of them, 5 sigma
+    assert height.max() - height.min() == pytest.approx(0.02, abs=1e-3)
+
+
+def test_bad_clearance_is_refused(make_base):
+    with pytest.raises(ValueError, match=r"clearance must be \[smallest, largest\], got"):
+        NoisyStart(make_base(), clearance=[0.02, 0.01])

@@ -1,22 +1,22 @@
 """Terms of rewards and terminations: pure functions of a step.
 
 A term takes the TensorDicts before and after the step, then keyword parameters. It has no weight,
-no memory and no env; one that names a parameter ``robot`` is given the env's ``Robot``.
+no memory and no env; one that names a parameter ``robot`` is given the env's ``Robot``, one that
+names ``joint_range`` the ranges of its joints.
 """
 
 import inspect
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from torch import Tensor
 
-from zfall.envs.robots import Robot
 
-
-def bind(term: Callable[..., Tensor], robot: Robot) -> Callable[..., Tensor]:
-    """The term with its ``robot``, if it asks for one."""
+def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
+    """The term with those of ``known`` that it asks for by name and was not given."""
     if isinstance(term, partial):  # hydra's own kind costs half a millisecond a call
         term = partial(term.func, *term.args, **term.keywords)
-    if "robot" not in inspect.signature(term).parameters:
-        return term
-    return partial(term, robot=robot)
+    given = term.keywords if isinstance(term, partial) else {}
+    asked = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
+    return partial(term, **{name: known[name] for name in asked}) if asked else term

@@ -29,3 +29,14 @@ def low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor
     Reads ``com_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)`` bool.
     """
     return next_td["com_position"][..., 2:] < height
+
+
+def base_height(
+    td: TensorDictBase, next_td: TensorDictBase, *, lowest: float, highest: float
+) -> Tensor:
+    """Whether the base is lower than ``lowest`` or higher than ``highest`` [m].
+
+    Reads ``base_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)`` bool.
+    """
+    height = next_td["base_position"][..., 2:]
+    return (height < lowest) | (height > highest)

@@ -20,45 +20,64 @@ def feet_in_contact(td: TensorDictBase, next_td: TensorDictBase, *, both: bool =
 
 
 def balanced_load(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: float,
+    epsilon: float,
+    per_foot: bool = False,
 ) -> Tensor:
     """High where each foot carries half of the robot: mean over feet of ``rbf(F_z, m g / 2)``.
 
-    Reads ``feet_force`` ``(*B, 2, 3)`` [N; world]; ``cutoff`` [N]. Returns ``(*B, 1)`` in (0, 1].
+    With ``per_foot`` the sum over feet, so that the weight is that of each. Reads ``feet_force`` ``(*B, 2, 3)`` [N; world]; ``cutoff`` [N]. Returns ``(*B, 1)`` in (0, 1].
 
     Source: Ferigo et al., RA-L 2021, table II (feet contact forces).
     """
     load = next_td["feet_force"][..., 2:]  # (*B, 2, 1)
     half = 0.5 * robot.mass * GRAVITY
-    return rbf(load, half, cutoff=cutoff, epsilon=epsilon).mean(-2)
+    value = rbf(load, half, cutoff=cutoff, epsilon=epsilon)
+    return value.sum(-2) if per_foot else value.mean(-2)
 
 
 def centered_pressure(
-    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    cutoff: float,
+    epsilon: float,
+    per_foot: bool = False,
 ) -> Tensor:
     """High where each foot is pressed on at its center: mean over feet of ``rbf(cop, 0)``.
 
-    A foot in the air counts 0. Reads ``feet_cop`` ``(*B, 2, 2)`` [m; sole] and ``feet_contact``;
+    A foot in the air counts 0. With ``per_foot`` the sum over feet. Reads ``feet_cop`` ``(*B, 2, 2)`` [m; sole] and ``feet_contact``;
     ``cutoff`` [m]. Returns ``(*B, 1)`` in [0, 1].
 
     Source: Ferigo et al., RA-L 2021, table II (feet CoPs).
     """
     value = rbf(next_td["feet_cop"], 0.0, cutoff=cutoff, epsilon=epsilon)
-    return torch.where(next_td["feet_contact"].unsqueeze(-1), value, 0.0).mean(-2)
+    value = torch.where(next_td["feet_contact"].unsqueeze(-1), value, 0.0)
+    return value.sum(-2) if per_foot else value.mean(-2)
 
 
 def flat_feet(
-    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    cutoff: float,
+    epsilon: float,
+    per_foot: bool = False,
 ) -> Tensor:
     """High where the soles are level: mean over feet of ``rbf(r_z . e_z, 1)``.
 
-    ``r_z`` is the sole's upward axis, ``e_z`` the world's. Reads ``feet_orientation``
+    ``r_z`` is the sole's upward axis, ``e_z`` the world's. With ``per_foot`` the sum over feet. Reads ``feet_orientation``
     ``(*B, 2, 4)``; ``cutoff`` has no unit. Returns ``(*B, 1)`` in (0, 1].
 
     Source: Ferigo et al., RA-L 2021, table II (feet orientation).
     """
     level = up_axis(next_td["feet_orientation"])[..., 2:]
-    return rbf(level, 1.0, cutoff=cutoff, epsilon=epsilon).mean(-2)
+    value = rbf(level, 1.0, cutoff=cutoff, epsilon=epsilon)
+    return value.sum(-2) if per_foot else value.mean(-2)
 
 
 def carried_weight(

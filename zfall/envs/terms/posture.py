@@ -6,6 +6,7 @@ from torch import Tensor
 
 from zfall.envs.robots import Robot
 from zfall.envs.rotations import tilt
+from zfall.envs.terms.kernels import rbf
 
 
 def survival(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
@@ -40,3 +41,41 @@ def reference_posture(
     position = next_td["joint_position"]
     error = position - position.new_tensor(robot.stand_position)
     return torch.exp(-error.square().sum(-1, keepdim=True) / sigma**2)
+
+
+def double_support_posture(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+) -> Tensor:
+    """High in the standing reference pose, with both feet on the floor: ``rbf(q, q0)``.
+
+    Reads ``joint_position`` ``(*B, J)`` [rad] and ``feet_contact`` ``(*B, 2)``; ``cutoff``, of the
+    norm over joints [rad]. 0 outside double support. Returns ``(*B, 1)`` in [0, 1].
+
+    Source: Ferigo et al., RA-L 2021, table II (postural).
+    """
+    position = next_td["joint_position"]
+    target = position.new_tensor(robot.stand_position)
+    value = rbf(position, target, cutoff=cutoff, epsilon=epsilon)
+    return torch.where(next_td["feet_contact"].all(-1, keepdim=True), value, 0.0)
+
+
+def standing_height(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: float
+) -> Tensor:
+    """High when the center of mass is as high as when standing: ``exp(-(z - h0)^2 / sigma^2)``.
+
+    Reads ``com_position`` ``(*B, 3)`` [m]; ``sigma`` [m]. Returns ``(*B, 1)`` in (0, 1].
+    """
+    error = next_td["com_position"][..., 2:] - robot.com_height
+    return torch.exp(-error.square() / sigma**2)
+
+
+def arm_pose(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -> Tensor:
+    """Distance of the arms from the standing reference pose, ``sum_j |q_j - q0_j|`` [rad].
+
+    The joints of the arms are those that are not of the legs. Reads ``joint_position`` ``(*B, J)`` [rad]. Returns ``(*B, 1)``, at least 0.
+    """
+    arms = [j for j, name in enumerate(robot.joints) if name not in robot.legs]
+    position = next_td["joint_position"][..., arms]
+    target = position.new_tensor([robot.stand_position[j] for j in arms])
+    return (position - target).abs().sum(-1, keepdim=True)

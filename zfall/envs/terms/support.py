@@ -60,22 +60,29 @@ def convex_hull(points: Tensor, used: Tensor) -> Hull:
         used: which of them count ``(*B, K)`` bool.
     """
     # The mean is taken off first: coordinates of a few centimeters keep float32 exact enough.
+    # Points that do not count are put there, where they change no hull.
     weight = used.unsqueeze(-1).to(points.dtype)
     center = (points * weight).sum(-2, keepdim=True) / weight.sum(-2, keepdim=True).clamp_min(1.0)
-    local = points - center
-    along = local.unsqueeze(-3) - local.unsqueeze(-2)  # from i to j (*B, K, K, 2)
-    length = along.norm(dim=-1)
-    direction = along / length.clamp_min(1e-9).unsqueeze(-1)
-    offset = local[..., None, None, :, :] - local[..., :, None, None, :]  # from i to k
-    left = (
-        direction[..., None, 0] * offset[..., 1] - direction[..., None, 1] * offset[..., 0]
-    )  # (*B, i, j, k)
-    share = (direction.unsqueeze(-2) * offset).sum(-1)
-    within = (share > -_FLAT) & (share < length.unsqueeze(-1) + _FLAT)
-    fine = (left > _FLAT) | ((left.abs() <= _FLAT) & within)
-    fine = fine | ~used[..., None, None, :]
-    edges = fine.all(-1) & (length > _FLAT) & used[..., :, None] & used[..., None, :]
-    return Hull(points, used, edges)
+    # Worlds come last from here on, which is several times as fast, as is taking each pair of
+    # points once: what is left of the way from i to j is right of the way back.
+    x, y = ((points - center) * weight).reshape(-1, *points.shape[-2:]).permute(2, 1, 0)
+    i, j = torch.triu_indices(len(x), len(x), 1)
+    cross = x[:, None] * y - y[:, None] * x  # p_i x p_j (K, K, N)
+    apart = (x[:, None] - x).square() + (y[:, None] - y).square()  # |p_j - p_i|^2
+    length = apart[i, j].sqrt()  # (pairs, N)
+    flat = _FLAT * length
+    # (p_j - p_i) x (p_k - p_i) (pairs, k, N)
+    left = cross.index_select(0, j) - cross.index_select(0, i) + cross[i, j][:, None]
+    # How far p_k is beyond the two ends: 2 (p_k - p_i) . (p_k - p_j).
+    beyond = apart.index_select(0, i) + apart.index_select(0, j) - apart[i, j][:, None]
+    on_line = flat[:, None] - left.abs()
+    spoiled = torch.minimum(on_line, beyond - flat[:, None]).amax(1) > 0
+    sound = (length > _FLAT) & ~spoiled
+    edges = torch.zeros_like(cross, dtype=torch.bool)
+    edges[i, j] = sound & (left.amin(1) >= -flat)
+    edges[j, i] = sound & (left.amax(1) <= flat)
+    edges = edges.permute(2, 0, 1).reshape(*points.shape[:-1], points.shape[-2])
+    return Hull(points, used, edges & used[..., :, None] & used[..., None, :])
 
 
 def distance_inside(hull: Hull, point: Tensor) -> Tensor:
@@ -89,20 +96,18 @@ def distance_inside(hull: Hull, point: Tensor) -> Tensor:
         ``(*B,)`` [m]; inside, the distance from the nearest edge, outside minus that from the
         nearest point of the hull; minus infinity where the hull has no point.
     """
-    start = hull.points.unsqueeze(-2)  # i (*B, K, 1, 2)
-    along = hull.points.unsqueeze(-3) - start
-    length = along.norm(dim=-1).clamp_min(1e-9)
-    direction = along / length.unsqueeze(-1)
-    offset = point[..., None, None, :] - start
-    left = direction[..., 0] * offset[..., 1] - direction[..., 1] * offset[..., 0]
-    place = (direction * offset).sum(-1).clamp_min(0.0)
-    nearest = start + torch.minimum(place, length).unsqueeze(-1) * direction
-    away = (point[..., None, None, :] - nearest).norm(dim=-1)
+    offset = point.unsqueeze(-2) - hull.points  # from i (*B, K, 2)
+    along_x, along_y = hull.points.unsqueeze(-3).sub(hull.points.unsqueeze(-2)).unbind(-1)
+    x, y = (value.unsqueeze(-1) for value in offset.unbind(-1))
+    square = (along_x.square() + along_y.square()).clamp_min(1e-18)
+    left = (along_x * y - along_y * x) / square.sqrt()
+    place = ((along_x * x + along_y * y) / square).clamp(0.0, 1.0)
+    away = (x - place * along_x).square() + (y - place * along_y).square()
     inf = float("inf")
     depth = torch.where(hull.edges, left, inf).flatten(-2).amin(-1)
     outside = torch.where(hull.edges, away, inf).flatten(-2).amin(-1)
-    single = torch.where(hull.used, (point.unsqueeze(-2) - hull.points).norm(dim=-1), inf)
-    outside = torch.minimum(outside, single.amin(-1))
+    single = torch.where(hull.used, offset.square().sum(-1), inf).amin(-1)
+    outside = torch.minimum(outside, single).sqrt()
     has_area = hull.edges.sum((-2, -1)) > 2
     return torch.where(has_area & (depth >= 0), depth, -outside)
 
@@ -115,9 +120,10 @@ def hull_center(hull: Hull) -> Tensor:
     weight = hull.used.unsqueeze(-1).to(hull.points.dtype)
     mean = (hull.points * weight).sum(-2) / weight.sum(-2).clamp_min(1.0)
     local = hull.points - mean.unsqueeze(-2)
-    one, two = local.unsqueeze(-2), local.unsqueeze(-3)
-    twice = torch.where(hull.edges, one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0], 0.0)
-    moment = (twice.unsqueeze(-1) * (one + two)).flatten(-3, -2).sum(-2)
+    # Sums over edges of a x b and of (a x b)(a + b), a and b being the ends of the edge.
+    x, y = local.unsqueeze(-2).unbind(-1)
+    twice = (x * y.mT - y * x.mT) * hull.edges
+    moment = ((twice.sum(-1) + twice.sum(-2)).unsqueeze(-1) * local).sum(-2)
     area = twice.flatten(-2).sum(-1, keepdim=True)  # twice of it
     flat = area < 1e-8
     return mean + torch.where(flat, 0.0, moment / (3.0 * area).masked_fill(flat, 1.0))

@@ -19,7 +19,7 @@ class WeightedReward(Transform):
     under ``("reward_terms", name)`` ``(N, 1)``. What the terms read is said where they stand.
 
     Args:
-        env: the base env; terms with a parameter ``robot`` are given its robot.
+        env: the base env; terms with a parameter ``robot`` or ``joint_range`` are given its own.
         terms: ``name: [weight, term]``, a term being a function of the TensorDicts before and
             after the step that returns ``(N, 1)``. A weight of ``null`` leaves the term out.
 
@@ -32,7 +32,7 @@ class WeightedReward(Transform):
     ):
         super().__init__()
         self.terms = {
-            name: (weight, bind(term, env.robot))
+            name: (weight, bind(term, robot=env.robot, joint_range=env.joint_range))
             for name, (weight, term) in terms.items()
             if weight is not None
         }

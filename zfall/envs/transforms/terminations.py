@@ -19,7 +19,7 @@ class Terminations(Transform):
     condition under ``("terminations", name)`` ``(N, 1)`` bool.
 
     Args:
-        env: the base env; conditions with a parameter ``robot`` are given its robot.
+        env: the base env; conditions with a parameter ``robot`` or ``joint_range`` are given its own.
         conditions: ``name: condition``, a function of the TensorDicts before and after the step
             that returns ``(N, 1)`` bool. ``null`` leaves the condition out.
     """
@@ -27,7 +27,7 @@ class Terminations(Transform):
     def __init__(self, env: HumanoidEnv, *, conditions: dict[str, Callable[..., Tensor] | None]):
         super().__init__()
         self.conditions = {
-            name: bind(condition, env.robot)
+            name: bind(condition, robot=env.robot, joint_range=env.joint_range)
             for name, condition in conditions.items()
             if condition is not None
         }

@@ -81,13 +81,14 @@ class JointVelocityTarget(Transform):
         velocity = tensordict["action"].clamp(-1.0, 1.0) * per_world(self.limit, 2)
         velocity, start = velocity[:, None], self.position[:, None]
         position = torch.clamp(start + velocity * self.time, low, high)
-        begin = position[:, :-1]
-        # What is left of the way to the stops bounds the velocity of each tick.
-        slope = torch.clamp(velocity, (low - begin) / self.tick, (high - begin) / self.tick)
-        command = begin + self.time_constant * slope
+        begin, end = position[:, :-1], position[:, 1:]  # of each tick, so that their distance
+        # over the tick is the slope: less than the velocity where the stop is met.
+        command = torch.lerp(begin, end, self.time_constant / self.tick)
         self.position = position[:, -1].clone()
         tensordict["target"] = self.position.clone()
-        return tensordict.set("control", command.repeat_interleave(self.hold, 1))
+        if self.hold > 1:
+            command = command.repeat_interleave(self.hold, 1)
+        return tensordict.set("control", command)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set("target", tensordict["target"])

@@ -5,7 +5,7 @@ left it there, else the true ``key``, and writes ``("measured", key)``. True val
 are, for rewards and the critic; ``ObservationVector(measured=True)`` reads the measured ones.
 ``ObservationDelay`` comes first in the chain, as it needs the values between control steps; what
 follows stands in the order of the hardware: bias and noise of the sensor, its resolution, messages
-that get lost, then the estimators of ``estimation``.
+that get lost, then the estimators of ``estimation`` and the quantities of ``derived``.
 
 TorchRL's ``CatFrames(N=4, dim=-1, in_keys=["observation"], out_keys=["observation"])`` after the
 vector stacks the last four observations; it starts again in the rows of a partial reset.
@@ -13,13 +13,19 @@ vector stacks the last four observations; it starts again in the rows of a parti
 
 from zfall.envs.transforms.observations.bias import ObservationBias, ObservationRandomWalk
 from zfall.envs.transforms.observations.delay import ObservationDelay
+from zfall.envs.transforms.observations.derived import BasePose, FeetInBase, ImuOrientation
 from zfall.envs.transforms.observations.dropout import ObservationDropout
 from zfall.envs.transforms.observations.noise import ObservationNoise
+from zfall.envs.transforms.observations.normalized import NormalizedVector
 from zfall.envs.transforms.observations.quantization import Quantization
 from zfall.envs.transforms.observations.tilt import TiltAngles
 from zfall.envs.transforms.observations.vector import ObservationVector
 
 __all__ = [
+    "BasePose",
+    "FeetInBase",
+    "ImuOrientation",
+    "NormalizedVector",
     "ObservationBias",
     "ObservationDelay",
     "ObservationDropout",

@@ -1,5 +1,7 @@
 """Several quantities in one vector."""
 
+from collections.abc import Sequence
+
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
@@ -37,16 +39,22 @@ class ObservationVector(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        there = observation_spec.keys(True)
-        missing = [str(key) for key in self.keys if key not in there]
-        if missing:
-            names = ", ".join(str(key) for key in observation_spec.keys(True, True))
-            raise ValueError(
-                f"keys must name quantities made before them ({names}), got {missing[0]}."
-            )
-        size = sum(observation_spec[key].shape[1:].numel() for key in self.keys)
+        size = vector_size(observation_spec, self.keys)
         observation_spec[self.out_keys[0]] = Unbounded((*observation_spec.shape, size))
         return observation_spec
+
+
+def vector_size(spec: Composite, keys: Sequence[NestedKey]) -> int:
+    """Length of quantities of a spec, flattened and lined up.
+
+    Raises:
+        ValueError: on a key that is not there.
+    """
+    missing = [str(key) for key in keys if key not in spec.keys(True)]
+    if missing:
+        names = ", ".join(str(key) for key in spec.keys(True, True))
+        raise ValueError(f"keys must name quantities made before them ({names}), got {missing[0]}.")
+    return sum(spec[key].shape[1:].numel() for key in keys)
 
 
 def _read_true(tensordict: TensorDictBase, key: NestedKey) -> Tensor:

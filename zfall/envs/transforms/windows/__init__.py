@@ -1,5 +1,7 @@
 """Quantities over time, for terms that have no memory of their own."""
 
+from zfall.envs.transforms.windows.feet_air_time import FeetAirTime
+from zfall.envs.transforms.windows.joint_effort import JointEffort
 from zfall.envs.transforms.windows.joint_error_min import JointErrorMin
 from zfall.envs.transforms.windows.joint_power import JointPower
 from zfall.envs.transforms.windows.joint_stop_speed import JointStopSpeed
@@ -9,6 +11,8 @@ from zfall.envs.transforms.windows.momentum_rate import MomentumRate
 from zfall.envs.transforms.windows.odometry_displacement import OdometryDisplacement
 
 __all__ = [
+    "FeetAirTime",
+    "JointEffort",
     "JointErrorMin",
     "JointPower",
     "JointStopSpeed",

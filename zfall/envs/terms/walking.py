@@ -1,0 +1,46 @@
+"""How the robot walks.
+
+Velocities are those of the base in its own axes, x forward and y to the left, as a velocimeter on
+it would read them.
+"""
+
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.rotations import rotate_inverse
+
+
+def forward_velocity(td: TensorDictBase, next_td: TensorDictBase, *, limit: float) -> Tensor:
+    """Velocity forward, ``min(v_x, limit)`` [m/s].
+
+    Reads ``base_linear_velocity`` ``(*B, 3)`` [m/s; world] and ``base_orientation``
+    ``(*B, 4)``; ``limit`` [m/s]. Returns ``(*B, 1)``.
+    """
+    return _base_velocity(next_td)[..., :1].clamp_max(limit)
+
+
+def lateral_velocity(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
+    """Speed sideways, ``|v_y|`` [m/s].
+
+    Reads ``base_linear_velocity`` ``(*B, 3)`` [m/s; world] and ``base_orientation`` ``(*B, 4)``.
+    Returns ``(*B, 1)``, at least 0.
+    """
+    return _base_velocity(next_td)[..., 1:2].abs()
+
+
+def feet_air_time(td: TensorDictBase, next_td: TensorDictBase, *, threshold: float) -> Tensor:
+    """Time that feet were in the air, paid when they touch down.
+
+    ``sum over feet of (t - threshold)`` [s] in the step of the touchdown, 0 else: a step of the
+    foot shorter than ``threshold`` [s] costs.
+
+    Reads ``feet_air_time`` ``(*B, 2)`` [s], which ``FeetAirTime`` keeps, before and after the
+    step. Returns ``(*B, 1)``.
+    """
+    time = td["feet_air_time"]
+    landed = (time > 0) & (next_td["feet_air_time"] == 0)
+    return ((time - threshold) * landed).sum(-1, keepdim=True)
+
+
+def _base_velocity(td: TensorDictBase) -> Tensor:
+    return rotate_inverse(td["base_orientation"], td["base_linear_velocity"])

@@ -1,0 +1,99 @@
+"""What the robot is told to do."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.pushes.draws import between, check_range
+from zfall.envs.transforms.starts import reset_rows
+
+ENTRIES = ("vx", "vy", "yaw", "height", "roll", "pitch")
+
+
+class Command(Transform):
+    """Tells the robot how to move, in six numbers; all are 0 unless a range is given.
+
+    ========= =============================================================
+    entry     content
+    ========= =============================================================
+    vx, vy    velocity of the base forward and to the left [m/s]
+    yaw       heading of the base, 0 along the world's x axis [rad]
+    height    of the base, from that of the standing pose [m]
+    roll      of the base, to the right [rad]
+    pitch     of the base, forward [rad]
+    ========= =============================================================
+
+    The command observed before a step is the one for that step.
+
+    Keys: writes ``command`` ``(N, 6)``.
+
+    Args:
+        env: the base env.
+        ranges: by name of an entry, its smallest and largest value; uniform.
+        interval: shortest and longest time after which a new command is drawn [s]; ``null`` keeps
+            that of the begin of the episode.
+
+    Raises:
+        ValueError: on another entry, a bad range, or an interval shorter than a control step.
+
+    Source: the entries are those of the Zeroth-01 project's report; the draws are ours.
+    """
+
+    command: Tensor
+    rest: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        ranges: Mapping[str, Sequence[float]] | None = None,
+        interval: Sequence[float] | None = None,
+    ):
+        super().__init__(in_keys=[], out_keys=["command"])
+        for name, bounds in (ranges or {}).items():
+            if name not in ENTRIES:
+                raise ValueError(f"ranges must be of {', '.join(ENTRIES)}, got {name!r}.")
+            check_range(f"ranges.{name}", list(bounds), negative=True)
+        if interval is not None:
+            check_range("interval", list(interval))
+            if interval[0] < env.control_dt:
+                raise ValueError(
+                    f"interval must be at least control_dt ({env.control_dt}), "
+                    f"got {list(interval)}."
+                )
+        self.ranges = {name: list(bounds) for name, bounds in (ranges or {}).items()}
+        self.interval, self.control_dt, self.rng = interval, env.control_dt, env.rng
+        self.register_buffer("command", torch.zeros(env.num_envs, len(ENTRIES)))
+        # Until the next draw [s]; float64, as times add up over episodes.
+        self.register_buffer("rest", torch.full((env.num_envs,), torch.inf, dtype=torch.float64))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        if self.ranges and self.interval is not None:
+            self.rest = self.rest - self.control_dt
+            self._draw(self.rest < 0.5 * self.control_dt)
+        return next_tensordict.set("command", self.command.clone())
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        if self.ranges:
+            self._draw(reset_rows(tensordict))
+        return tensordict_reset.set("command", self.command.clone())
+
+    def _draw(self, rows: Tensor) -> None:
+        """New commands for the worlds in ``rows`` ``(N,)`` bool."""
+        u = torch.rand(len(self.ranges) + 1, len(rows), generator=self.rng)  # all: one stream
+        for value, (name, bounds) in zip(u, self.ranges.items(), strict=False):
+            entry = self.command[:, ENTRIES.index(name)]
+            entry.copy_(torch.where(rows, between(bounds, value), entry))
+        if self.interval is not None:
+            self.rest = torch.where(rows, between(self.interval, u[-1].double()), self.rest)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["command"] = Unbounded(self.command.shape)
+        return observation_spec
