@@ -6,15 +6,17 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
 from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
-from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from zfall.evaluation.battery import load_battery
+from zfall.losses.advantage import RecurrentGAE
+from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
 
 
@@ -43,17 +45,22 @@ class Learner:
             raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
         self._average = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.averaging))
         self.critic = instantiate(cfg.critic, spec)
-        hidden = recurrent_keys(self.actor)
-        if recurrent_keys(self.critic):
-            raise ValueError("critic must be feed-forward: its state is not collected, got a GRU.")
-        if hidden:
-            self.env.append_transform(get_primers_from_module(self.actor))
+        hidden = [*recurrent_keys(self.actor), *recurrent_keys(self.critic)]
+        for module in (self.actor, self.critic):
+            if recurrent_keys(module):
+                self.env.append_transform(get_primers_from_module(module))
         self.env.set_seed(cfg.seed)
         loss = cfg.loss
-        self.advantage = GAE(
-            gamma=loss.gamma, lmbda=loss.lmbda, value_network=self.critic, deactivate_vmap=True
-        )
-        self.loss = ClipPPOLoss(
+        self.advantage: GAE
+        if recurrent_keys(self.critic):  # runs along with the actor, for its memory
+            self._acting = TensorDictSequential(self.actor, self.critic)
+            self.advantage = RecurrentGAE(self.critic, gamma=loss.gamma, lmbda=loss.lmbda)
+        else:
+            self._acting = self.actor
+            self.advantage = GAE(
+                gamma=loss.gamma, lmbda=loss.lmbda, value_network=self.critic, deactivate_vmap=True
+            )
+        self.loss = PenalizedPPOLoss(
             self.actor,
             self.critic,
             clip_epsilon=loss.clip_epsilon,
@@ -62,6 +69,10 @@ class Learner:
             entropy_bonus=loss.entropy_coeff > 0,  # a coefficient of 0 would still compute it
             loss_critic_type="l2",
             normalize_advantage=True,
+            kl_coeff=loss.kl_coeff,
+            kl_target=loss.kl_target,
+            value_clip=loss.value_clip,
+            value_error_clip=loss.value_error_clip,
         )
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
@@ -70,7 +81,9 @@ class Learner:
         self._learned = [*inputs, "action", "action_log_prob"]
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
         flags += ["episode_reward", "step_count", "diverged"]
-        self._stored = [*self._learned, *(("next", key) for key in [*inputs, *flags])]
+        after = [("next", key) for key in [*inputs, *flags]]
+        self._stored = [*self._learned, "state_value", *after]
+        self._recurrent = bool(hidden)
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
 
@@ -89,7 +102,7 @@ class Learner:
         steps = []
         with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
             for _ in range(self.cfg.rollout_steps):
-                data, self.carrier = self.env.step_and_maybe_reset(self.actor(self.carrier))
+                data, self.carrier = self.env.step_and_maybe_reset(self._acting(self.carrier))
                 steps.append(data.select(*self._stored, strict=False))
         self.frames += self.frames_per_batch
         return torch.stack(steps, 1)
@@ -100,7 +113,7 @@ class Learner:
         with torch.no_grad(), set_recurrent_mode(True):
             self.advantage(batch)
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
-        if not recurrent_keys(self.actor):
+        if not self._recurrent:
             data = data.reshape(-1)  # else a minibatch holds whole sequences
         size = -(-len(data) // cfg.minibatches)
         for _ in range(cfg.epochs):
@@ -118,8 +131,10 @@ class Learner:
         means["kl"] = means.pop("kl_approx") + means["mean_ratio"] - 1.0
         if self.scheduler is not None:
             self.scheduler.step(max(means["kl"], 1e-6))
-        normalizer_of(self.actor).update(batch["observation"])
-        normalizer_of(self.critic).update(batch["observation_critic"])
+        self.loss.adapt(means["kl"])
+        for module, key in ((self.actor, "observation"), (self.critic, "observation_critic")):
+            if (normalizer := normalizer_of(module)) is not None:
+                normalizer.update(batch[key])
         self._average.update_parameters(self.actor)
         self.updates += 1
         return means
@@ -134,6 +149,7 @@ class Learner:
             "averaged": int(self._average.n_averaged),
             "critic": self.critic.state_dict(),
             "optimizer": self.optimizer.state_dict(),
+            "kl_coeff": self.loss.kl_coeff.item(),
             "env": self.env.base_env.state_dict(),
             "transforms": self.env.transform.state_dict(),
             "carrier": self.carrier.to_dict(),
@@ -149,6 +165,7 @@ class Learner:
         self._average.n_averaged.fill_(state["averaged"])
         self.critic.load_state_dict(state["critic"])
         self.optimizer.load_state_dict(state["optimizer"])
+        self.loss.kl_coeff.fill_(state["kl_coeff"])
         self.env.base_env.load_state_dict(state["env"])
         self.env.transform.load_state_dict(state["transforms"])
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)

@@ -29,7 +29,10 @@ KEYS = {
 }
 
 
-LOSS_KEYS = {"gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"}
+LOSS_KEYS = {
+    *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
+    *("kl_coeff", "kl_target", "value_clip", "value_error_clip"),
+}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="train")

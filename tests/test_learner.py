@@ -2,18 +2,23 @@
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 
 from recipes.learner import Learner
+from zfall.modules.actors import normalizer_of
+
+NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru"]
 
 
-@pytest.fixture(params=["mlp_gaussian", "mlp_mog", "gru_mog"])
+@pytest.fixture(params=NETWORKS)
 def learner(request, compose_config) -> Learner:
     """After two updates, with pushes and resets all the time."""
+    actor, critic = request.param.split()
     learner = Learner(
         compose_config(
-            "num_envs=16", "rollout_steps=16", f"actor={request.param}",
+            "num_envs=16", "rollout_steps=16", f"actor={actor}", f"critic={critic}",
             "env.transforms.limit.seconds=0.3", "env.transforms.push.interval=[0.0,0.1]",
         )
     )  # fmt: skip
@@ -47,20 +52,122 @@ def test_advantages_are_those_of_a_plain_loop(compose_config):
         learner.advantage(batch)
         value = learner.critic(batch.select("observation_critic"))["state_value"]
         after = learner.critic(batch["next"].select("observation_critic"))["state_value"]
-    expected, running = torch.zeros_like(value), torch.zeros(8, 1)
-    for t in reversed(range(12)):
+    assert_close(
+        batch["advantage"],
+        plain_advantages(batch, value, after, gamma, lmbda),
+        atol=1e-5,
+        rtol=1e-5,
+    )
+
+
+def plain_advantages(
+    batch: TensorDictBase, value: torch.Tensor, after: torch.Tensor, gamma: float, lmbda: float
+) -> torch.Tensor:
+    expected, running = torch.zeros_like(value), torch.zeros_like(value[:, 0])
+    for t in reversed(range(value.shape[1])):
         step = batch["next"][:, t]
         delta = step["reward"] + gamma * after[:, t] * ~step["terminated"] - value[:, t]
         running = delta + gamma * lmbda * running * ~step["done"]
         expected[:, t] = running
-    assert_close(batch["advantage"], expected, atol=1e-5, rtol=1e-5)
+    return expected
+
+
+@pytest.mark.parametrize("actor", ["gru_mog", "mlp_gaussian"])
+def test_values_and_advantages_of_a_recurrent_critic_are_those_of_a_plain_loop(
+    compose_config, actor
+):
+    """torch's GRU stepped by hand from the stored memory, which a reset inside the batch clears.
+
+    What follows a step is looked at with the memory it left, never with that of the episode that
+    begins there; the second batch goes on from the memory of the first.
+    """
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=12", f"actor={actor}", "critic=gru", "env.transforms.limit.seconds=0.28",
+                       "env.transforms.terminations.conditions.tilt.angle=0.1")
+    )  # fmt: skip
+    encoder, gru, head = (
+        part.module if hasattr(part, "module") else part for part in learner.critic.module
+    )
+    normalizer_of(learner.critic).update(torch.randn(50, len(normalizer_of(learner.critic).mean)))
+    learner.collect()
+    batch = learner.collect()
+    done = batch["next", "done"]
+    assert (done & batch["next", "terminated"])[:, :-1].any()
+    assert (done & batch["next", "truncated"])[:, :-1].any()
+    assert not done[:, -1].all()
+    memory = batch["recurrent_state_critic"][:, 0]
+    assert memory.abs().amax((1, 2)).gt(0).any()
+    value, after = torch.zeros(8, 12, 1), torch.zeros(8, 12, 1)
+
+    def step(observation: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        features, state = gru.gru(
+            encoder(observation).unsqueeze(1), memory.transpose(0, 1).contiguous()
+        )
+        return head(features[:, 0]), state.transpose(0, 1)
+
+    with torch.no_grad(), set_recurrent_mode(True):
+        for t in range(12):
+            memory = torch.where(batch["is_init"][:, t, :, None], 0.0, memory)
+            value[:, t], memory = step(batch["observation_critic"][:, t], memory)
+            after[:, t], _ = step(batch["next", "observation_critic"][:, t], memory)
+        replayed = learner.critic(batch.select(*learner.critic.in_keys))["state_value"]
+        learner.advantage(batch)
+    assert_close(batch["state_value"], value, atol=1e-5, rtol=0)
+    assert_close(replayed, value, atol=1e-5, rtol=0)
+    assert_close(batch["next", "state_value"], after, atol=1e-5, rtol=0)
+    gamma, lmbda = learner.cfg.loss.gamma, learner.cfg.loss.lmbda
+    assert_close(
+        batch["advantage"],
+        plain_advantages(batch, value, after, gamma, lmbda),
+        atol=1e-4,
+        rtol=1e-4,
+    )
 
 
 def test_every_parameter_learns(learner):
-    before = {name: p.clone() for name, p in learner.actor.named_parameters()}
+    modules = torch.nn.ModuleList([learner.actor, learner.critic])
+    before = {name: p.clone() for name, p in modules.named_parameters()}
     learner.learn(learner.collect())
-    still = [name for name, p in learner.actor.named_parameters() if torch.equal(p, before[name])]
+    still = [name for name, p in modules.named_parameters() if torch.equal(p, before[name])]
     assert not still
+
+
+def test_weight_of_the_divergence_adapts_and_is_resumed(compose_config):
+    """A target far below what an update does, then one far above it."""
+    sizes = ("num_envs=8", "rollout_steps=8", "loss=icub")
+    learner = Learner(compose_config(*sizes, "loss.kl_target=1e-6"))
+    for factor in (1.0, 1.5):
+        out = learner.learn(learner.collect())
+        assert out["kl_coeff"] == pytest.approx(0.2 * factor)
+    assert learner.loss.kl_coeff.item() == pytest.approx(0.2 * 1.5**2)
+    resumed = Learner(compose_config(*sizes, "loss.kl_target=1e6"))
+    resumed.load_state_dict(learner.state_dict())
+    out = resumed.learn(resumed.collect())
+    assert out["kl_coeff"] == pytest.approx(0.2 * 1.5**2)
+    assert out["loss_kl"] == pytest.approx(out["kl_coeff"] * out["kl"], rel=1e-3, abs=1e-6)
+    assert resumed.loss.kl_coeff.item() == pytest.approx(0.2 * 1.5**2 / 2)
+
+
+def test_fixed_deviation_and_no_normaliser(compose_config):
+    """The deviation neither learns nor is averaged, and observations go in as they are."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=4", "actor=atalante", "actor.normalize=false", "critic=icub")
+    )  # fmt: skip
+    before = {key: value.clone() for key, value in learner.actor.state_dict().items()}
+    for _ in range(2):
+        learner.learn(learner.collect())
+    moved = {
+        key
+        for key, value in learner.actor.state_dict().items()
+        if not torch.equal(value, before[key])
+    }
+    assert {key for key in before if key not in moved} == {
+        key for key in before if "log_std" in key
+    }
+    assert normalizer_of(learner.actor) is None
+    assert normalizer_of(learner.critic) is None
+    std = learner.policy.get_dist(learner.carrier).variance.sqrt()
+    assert_close(std, torch.full_like(std, 0.2))
 
 
 def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_config):

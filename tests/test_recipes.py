@@ -115,11 +115,14 @@ EVENTFUL = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seco
 REALISTIC = "env=push_recovery_realistic"  # all transforms at once
 
 
-@pytest.mark.parametrize("part", ["actor=mlp_gaussian", "actor=gru_mog", REALISTIC])
+RECURRENT = "actor=gru_mog critic=gru loss=icub"  # state of a critic, and of a penalty
+
+
+@pytest.mark.parametrize("part", ["actor=mlp_gaussian", "actor=gru_mog", RECURRENT, REALISTIC])
 def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    common = [*TINY, *EVENTFUL, part]
+    common = [*TINY, *EVENTFUL, *part.split()]
     assert run("train", *common, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
     assert run("train", *common, "total_frames=64", f"hydra.run.dir={parts}").returncode == 0
     with (parts / "metrics.csv").open("a") as file:
@@ -131,6 +134,8 @@ def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     if part == REALISTIC:  # what was drawn and how hard the task is are logged
         assert metrics["params/foot_friction"].between(0.5, 1.5).all()
         assert metrics["curriculum/level"].iloc[-1] > 0
+    if part == RECURRENT:
+        assert metrics["loss/kl_coeff"].iloc[-1] != metrics["loss/kl_coeff"].iloc[0]
     assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
 
 
@@ -138,6 +143,46 @@ def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
 def test_every_actor_trains(actor, tmp_path):
     done = run("train", *TINY, f"actor={actor}", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
+
+
+PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
+
+
+@pytest.mark.parametrize("name", [name + end for name in PAPERS for end in ("", "_laptop")])
+def test_every_experiment_learns(name, tmp_path):
+    """Its networks, loss and optimizer, on a small batch."""
+    done = run(
+        "train", f"experiment={name}", "env=push_recovery", *TINY, f"hydra.run.dir={tmp_path}"
+    )
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(tmp_path / "metrics.csv")
+    assert metrics["frames"].tolist() == [32, 64]
+    assert metrics.filter(regex="^loss/").notna().all(axis=None)
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_a_laptop_gets_the_same_task(name, compose_config):
+    """Of the task only the physics' time step may differ."""
+    paper, laptop = (
+        compose_config(f"experiment={name}{end}", "env=push_recovery", "num_envs=4").env
+        for end in ("", "_laptop")
+    )
+    laptop.base_env.physics_dt = paper.base_env.physics_dt
+    assert laptop == paper
+
+
+def test_batches_are_those_that_were_published(compose_config):
+    """Steps per update, steps or sequences per minibatch."""
+    sizes = {}
+    for name in PAPERS:
+        cfg = compose_config(f"experiment={name}", "env=push_recovery")
+        sizes[name] = cfg.num_envs * cfg.rollout_steps, cfg
+    batch, cfg = sizes["icub_balance"]
+    assert batch == pytest.approx(10_000, rel=0.01)
+    assert batch / cfg.minibatches == pytest.approx(512, rel=0.03)
+    batch, cfg = sizes["zeroth_fall"]
+    assert cfg.num_envs / cfg.minibatches == 64
+    assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at its 50 Hz
 
 
 BAD = [
@@ -154,10 +199,9 @@ BAD = [
     (["showcase={foo: 1}"], "showcase.foo is not a key of the config"),
     (["rollout_steps=0"], "rollout_steps must be at least 1, got 0"),
     (["showcase={starts: 0, sizes: [0.4], video: false}"], "starts must be at least 1, got 0"),
-    (
-        ["critic._target_=zfall.modules.critics.gru_critic", "~critic.num_cells"],
-        "critic must be feed-forward",
-    ),
+    (["loss.kl_target=0.01"], "kl_target must be positive and go with a positive kl_coeff"),
+    (["actor.activation=gelu"], "activation must be one of elu, relu, tanh, got 'gelu'"),
+    (["actor=mlp_mog", "+actor.learn_std=false"], "learn_std must be true with components"),
     (["resume=nowhere"], "there is no such file"),
     (["hydra.run.dir=/proc/zfall"], "/proc/zfall"),
 ]

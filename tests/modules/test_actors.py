@@ -2,13 +2,15 @@
 
 import pytest
 import torch
+from hydra.utils import instantiate
 from tensordict import TensorDict
+from torch.nn.functional import elu
 from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 
-from zfall.modules.actors import gru_actor, mlp_actor, normalizer_of
+from zfall.modules.actors import gru_actor, mlp_actor, mlp_trunk, normalizer_of
 from zfall.modules.critics import gru_critic
 
 
@@ -28,6 +30,83 @@ def test_zeroth_fall_networks_have_the_published_number_of_parameters():
     assert count(actor) == 89_460 + 3 * 128
     assert count(critic) == 105_601 + 3 * 128
     assert count(actor) + count(critic) == 195_061 + 768 == 195_829
+
+
+def test_zeroth_fall_networks_of_the_yaml_have_the_numbers_counted_by_hand(compose_config):
+    """A cell of torch has 3 gates, each with weights H x (H + H) and two bias vectors of H."""
+    spec, action_spec = specs()
+    for name, critic_name, size, layers, components, published in [
+        ("zf", "gru", 64, 3, 3, 195_829),
+        ("zf_original", "zf_original", 128, 5, 5, 1_098_157),
+    ]:
+        cfg = compose_config(f"actor={name}", f"critic={critic_name}")
+        actor = instantiate(cfg.actor, spec, action_spec)
+        critic = instantiate(cfg.critic, spec)
+        cells = layers * 3 * (size * (size + size) + 2 * size)
+        outputs = 20 * 3 * components
+        assert count(actor) == (50 + 1) * size + cells + (size + 1) * outputs
+        assert count(critic) == (484 + 1) * size + cells + (size + 1)
+        assert count(actor) + count(critic) == published
+
+
+@pytest.mark.parametrize(("name", "cells"), [("icub", (512, 128)), ("atalante", (64, 64))])
+def test_feed_forward_networks_of_the_papers_have_their_sizes(compose_config, name, cells):
+    """Weights and biases of two hidden layers, 20 means, and 20 deviations if they are learned."""
+    spec, action_spec = specs(56, 60)
+    cfg = compose_config(f"actor={name}", f"critic={name}")
+    actor, critic = instantiate(cfg.actor, spec, action_spec), instantiate(cfg.critic, spec)
+    first, second = cells
+    learned = 20 if name == "icub" else 0
+    hidden = (first + 1) * second
+    assert count(actor) == (56 + 1) * first + hidden + (second + 1) * 20 + learned
+    assert count(critic) == (60 + 1) * first + hidden + (second + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "function"), [("relu", torch.relu), ("tanh", torch.tanh), ("elu", elu)]
+)
+def test_trunk_is_layers_with_the_activation_asked(name, function):
+    trunk, x = mlp_trunk(4, [5, 3], name), torch.randn(7, 4)
+    expected = x
+    for layer in (trunk[0], trunk[2]):
+        expected = function(expected @ layer.weight.T + layer.bias)
+    assert_close(trunk(x), expected)
+
+
+def test_fixed_deviation_is_no_parameter_and_has_no_lower_bound():
+    spec, action_spec = specs()
+    actor = mlp_actor(spec, action_spec, std=0.01, learn_std=False)
+    assert not [name for name, _ in actor.named_parameters() if "std" in name]
+    dist = actor.get_dist(TensorDict({"observation": torch.randn(2, 50)}, batch_size=[2]))
+    assert_close(dist.variance.sqrt(), torch.full((2, 20), 0.01))
+
+
+@pytest.mark.parametrize("build", [mlp_actor, gru_actor])
+def test_without_a_normaliser_the_observation_goes_in_as_it_is(build):
+    """An observation far beyond where a normaliser clips tells itself from one still farther."""
+    spec, action_spec = specs()
+    for normalize, differs in ((True, False), (False, True)):
+        actor = build(spec, action_spec, normalize=normalize)
+        assert (normalizer_of(actor) is None) == differs
+        means = []
+        for size in (20.0, 30.0):
+            td = TensorDict({"observation": torch.full((2, 50), size), "is_init": torch.ones(2, 1).bool(),
+                             "recurrent_state_actor": torch.zeros(2, 3, 64)}, batch_size=[2])  # fmt: skip
+            means.append(actor.get_dist(td).mean)
+        assert torch.equal(*means) != differs
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"activation": "gelu"}, "activation must be one of elu, relu, tanh, got 'gelu'"),
+        ({"components": 3, "learn_std": False}, "learn_std must be true with components, got 3"),
+        ({"statistic": "median"}, "statistic must be mean or mode, got 'median'"),
+    ],
+)
+def test_values_that_no_actor_has_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        mlp_actor(*specs(), **values)
 
 
 @pytest.mark.parametrize("build", [mlp_actor, gru_actor])

@@ -14,26 +14,42 @@ from zfall.modules.mixture import MixtureOfGaussians
 from zfall.modules.normalization import ObservationNormalizer
 
 _HIDDEN = "recurrent_state_actor"
+_ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 
 
 class GaussianHead(nn.Module):
-    """Mean from the features, standard deviation learned, the same in every state.
+    """Mean from the features, standard deviation the same in every state, learned or fixed.
 
     Args:
         size: length of the features.
         joints: number of joints J.
-        std: standard deviation at the start, in units of the action.
-        min_std: smallest standard deviation.
+        std: standard deviation (at the start, if learned), in units of the action.
+        learn_std: whether the deviation is learned.
+        min_std: smallest learned standard deviation.
     """
 
     keys = ("loc", "scale")
     distribution = IndependentNormal
 
-    def __init__(self, size: int, joints: int, *, std: float = 0.5, min_std: float = 0.02):
+    log_std: Tensor
+
+    def __init__(
+        self,
+        size: int,
+        joints: int,
+        *,
+        std: float = 0.5,
+        learn_std: bool = True,
+        min_std: float = 0.02,
+    ):
         super().__init__()
         self.mean = nn.Linear(size, joints)
-        self.log_std = nn.Parameter(torch.full((joints,), math.log(std)))
-        self.min_std = min_std
+        log_std = torch.full((joints,), math.log(std))
+        if learn_std:
+            self.log_std = nn.Parameter(log_std)
+        else:
+            self.register_buffer("log_std", log_std)
+        self.min_std = min_std if learn_std else 0.0
         nn.init.orthogonal_(self.mean.weight, 0.01)
         nn.init.zeros_(self.mean.bias)
 
@@ -79,23 +95,43 @@ class MixtureHead(nn.Module):
         return logits, loc, scale
 
 
-def make_head(size: int, joints: int, components: int, std: float) -> GaussianHead | MixtureHead:
-    """A Gaussian head for no component, else a mixture of so many."""
+def make_head(
+    size: int, joints: int, components: int, std: float, learn_std: bool = True
+) -> GaussianHead | MixtureHead:
+    """A Gaussian head for no component, else a mixture of so many.
+
+    Raises:
+        ValueError: if the deviation of a mixture is to be fixed.
+    """
     if components == 0:
-        return GaussianHead(size, joints, std=std)
+        return GaussianHead(size, joints, std=std, learn_std=learn_std)
+    if not learn_std:
+        raise ValueError(f"learn_std must be true with components, got {components} of them.")
     return MixtureHead(size, joints, components=components, std=std)
 
 
-def mlp_trunk(size: int, num_cells: Sequence[int]) -> nn.Sequential:
-    """Linear layers with ELU behind each, initialised orthogonally."""
+def mlp_trunk(size: int, num_cells: Sequence[int], activation: str = "elu") -> nn.Sequential:
+    """Linear layers with an activation behind each, initialised orthogonally.
+
+    Raises:
+        ValueError: on an unknown activation.
+    """
+    if activation not in _ACTIVATIONS:
+        names = ", ".join(_ACTIVATIONS)
+        raise ValueError(f"activation must be one of {names}, got {activation!r}.")
     layers: list[nn.Module] = []
     for cells in num_cells:
         linear = nn.Linear(size, cells)
         nn.init.orthogonal_(linear.weight, math.sqrt(2))
         nn.init.zeros_(linear.bias)
-        layers += [linear, nn.ELU()]
+        layers += [linear, _ACTIVATIONS[activation]()]
         size = cells
     return nn.Sequential(*layers)
+
+
+def normalizer(size: int, normalize: bool) -> list[nn.Module]:
+    """What stands before the first layer: a normaliser, or nothing."""
+    return [ObservationNormalizer(size)] if normalize else []
 
 
 def mlp_actor(
@@ -103,8 +139,11 @@ def mlp_actor(
     action_spec: Composite,
     *,
     num_cells: Sequence[int] = (128, 128),
+    activation: str = "elu",
     components: int = 0,
     std: float = 0.5,
+    learn_std: bool = True,
+    normalize: bool = True,
     statistic: str = "mean",
 ) -> ProbabilisticActor:
     """Feed-forward actor: ``observation`` ``(*B, D)`` -> ``action`` ``(*B, J)``.
@@ -112,16 +151,20 @@ def mlp_actor(
     Args:
         observation_spec, action_spec: of the env.
         num_cells: widths of the hidden layers.
-        components: Gaussians per joint; 0 for a plain Gaussian with a learned deviation.
+        activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
+        components: Gaussians per joint; 0 for a plain Gaussian, its deviation the same everywhere.
         std: standard deviation at the start, in units of the action.
+        learn_std: whether a plain Gaussian's deviation is learned.
+        normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
 
     Raises:
-        ValueError: on another statistic.
+        ValueError: on another statistic or activation, or a mixture of fixed deviation.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
-    head = make_head(num_cells[-1], joints, components, std)
-    net = nn.Sequential(ObservationNormalizer(size), mlp_trunk(size, num_cells), head)
+    head = make_head(num_cells[-1], joints, components, std, learn_std)
+    trunk = mlp_trunk(size, num_cells, activation)
+    net = nn.Sequential(*normalizer(size, normalize), trunk, head)
     module = TensorDictModule(net, in_keys=["observation"], out_keys=list(head.keys))
     return _actor(module, head, statistic)
 
@@ -134,6 +177,7 @@ def gru_actor(
     num_layers: int = 3,
     components: int = 3,
     std: float = 0.5,
+    normalize: bool = True,
     statistic: str = "mean",
 ) -> ProbabilisticActor:
     """Recurrent actor: a linear layer, stacked GRU cells, a head.
@@ -148,6 +192,7 @@ def gru_actor(
         num_layers: number of GRU layers.
         components: Gaussians per joint; 0 for a plain Gaussian with a learned deviation.
         std: standard deviation at the start, in units of the action.
+        normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
 
     Raises:
@@ -155,7 +200,7 @@ def gru_actor(
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     head = make_head(hidden_size, joints, components, std)
-    encoder = nn.Sequential(ObservationNormalizer(size), nn.Linear(size, hidden_size))
+    encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     module = TensorDictSequential(
         TensorDictModule(encoder, in_keys=["observation"], out_keys=["embedding_actor"]),
         gru(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
@@ -197,9 +242,10 @@ def _actor(
     return actor
 
 
-def normalizer_of(module: nn.Module) -> ObservationNormalizer:
-    """The observation normaliser inside an actor or a critic."""
-    return next(part for part in module.modules() if isinstance(part, ObservationNormalizer))
+def normalizer_of(module: nn.Module) -> ObservationNormalizer | None:
+    """The observation normaliser inside an actor or a critic, if it has one."""
+    parts = (part for part in module.modules() if isinstance(part, ObservationNormalizer))
+    return next(parts, None)
 
 
 def recurrent_keys(module: nn.Module) -> list[str]:

@@ -3,46 +3,85 @@
 from collections.abc import Sequence
 
 from tensordict.nn import TensorDictModule, TensorDictSequential
-from torch import nn
+from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import gru, mlp_trunk
-from zfall.modules.normalization import ObservationNormalizer
+from zfall.modules.actors import gru, mlp_trunk, normalizer
+
+_HIDDEN = "recurrent_state_critic"
+
+
+class ValueHead(nn.Linear):
+    """A linear layer whose single output is in units of ``scale``.
+
+    Returns of hundreds would otherwise have to grow out of weights that an optimizer moves by
+    its learning rate per step.
+
+    Args:
+        size: length of the features.
+        scale: what an output of 1 is worth.
+    """
+
+    def __init__(self, size: int, scale: float):
+        super().__init__(size, 1)
+        self.scale = scale
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Values ``(*B, 1)``."""
+        return self.scale * super().forward(features)
 
 
 def mlp_critic(
-    observation_spec: Composite, *, num_cells: Sequence[int] = (128, 128)
+    observation_spec: Composite,
+    *,
+    num_cells: Sequence[int] = (128, 128),
+    activation: str = "elu",
+    normalize: bool = True,
+    scale: float = 1.0,
 ) -> ValueOperator:
     """Feed-forward critic: ``observation_critic`` ``(*B, D)`` -> ``state_value`` ``(*B, 1)``.
 
     Args:
         observation_spec: of the env.
         num_cells: widths of the hidden layers.
+        activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
+        normalize: whether observations are centered and scaled by their statistics so far.
+        scale: unit of the values.
     """
     size = observation_spec["observation_critic"].shape[-1]
-    net = nn.Sequential(
-        ObservationNormalizer(size), mlp_trunk(size, num_cells), nn.Linear(num_cells[-1], 1)
-    )
+    trunk = mlp_trunk(size, num_cells, activation)
+    net = nn.Sequential(*normalizer(size, normalize), trunk, ValueHead(num_cells[-1], scale))
     return ValueOperator(net, in_keys=["observation_critic"])
 
 
 def gru_critic(
-    observation_spec: Composite, *, hidden_size: int = 64, num_layers: int = 3
+    observation_spec: Composite,
+    *,
+    hidden_size: int = 64,
+    num_layers: int = 3,
+    normalize: bool = True,
+    scale: float = 1.0,
 ) -> TensorDictSequential:
     """Recurrent critic: a linear layer, stacked GRU cells, a linear layer.
 
-    Keys as ``mlp_critic``, with a hidden state of its own under ``recurrent_state_critic``.
+    Keys as ``mlp_critic``; also reads ``is_init`` and its own hidden state under
+    ``recurrent_state_critic`` ``(*B, num_layers, hidden_size)``, whose successor it writes under
+    ``("next", "recurrent_state_critic")``.
 
     Args:
         observation_spec: of the env.
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
+        normalize: whether observations are centered and scaled by their statistics so far.
+        scale: unit of the values.
     """
     size = observation_spec["observation_critic"].shape[-1]
-    encoder = nn.Sequential(ObservationNormalizer(size), nn.Linear(size, hidden_size))
-    return TensorDictSequential(
+    encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
+    critic = TensorDictSequential(
         TensorDictModule(encoder, in_keys=["observation_critic"], out_keys=["embedding_critic"]),
-        gru(hidden_size, num_layers, "embedding_critic", "features", "recurrent_state_critic"),
-        ValueOperator(nn.Linear(hidden_size, 1), in_keys=["features"]),
+        gru(hidden_size, num_layers, "embedding_critic", "features_critic", _HIDDEN),
+        ValueOperator(ValueHead(hidden_size, scale), in_keys=["features_critic"]),
     )
+    critic.select_out_keys("state_value", ("next", _HIDDEN))  # the rest need not be stored
+    return critic

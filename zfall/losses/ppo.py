@@ -1,0 +1,116 @@
+"""Proximal policy optimisation with what RLlib's has beside the clipping."""
+
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.objectives import ClipPPOLoss
+
+
+class PenalizedPPOLoss(ClipPPOLoss):
+    """``ClipPPOLoss`` with a penalty on the KL divergence and bounds on the critic's loss.
+
+    With ``r = pi(a | o) / pi_old(a | o)``, advantage A, value V and target V*::
+
+        loss_objective = -mean min(r A, clip(r, 1 - epsilon, 1 + epsilon) A)
+        loss_kl        = beta * mean (r - 1 - log r)
+        loss_critic    = critic_coeff * mean E,   E = (V - V*)^2
+            value_clip c:        E = max((V - V*)^2, (V_old + clip(V - V_old, -c, c) - V*)^2)
+            value_error_clip d:  E = min(E, d)
+
+    ``r - 1 - log r`` over actions drawn from the policy of collection estimates
+    ``KL(pi_old || pi)`` without bias, in value and in gradient, as ``E_old[r - 1] = 0``, for a
+    mixture, whose divergence has no closed form, as for a Gaussian. It asks for nothing in the
+    batch but ``action_log_prob``, and both it and its gradient vanish sample by sample at r = 1,
+    where updates begin: its noise stays small beside that of the objective.
+
+    ``beta`` is ``kl_coeff``; with a ``kl_target``, ``adapt`` moves it from update to update: times
+    1.5 if the divergence was more than twice the target, by half if less than half of it. It is a
+    buffer, the only state beside the networks.
+
+    Without the three it is ``ClipPPOLoss``.
+
+    Keys: as ``ClipPPOLoss``; with a penalty also writes ``loss_kl`` and ``kl_coeff`` ``()``.
+
+    Args:
+        actor_network, critic_network: as for ``ClipPPOLoss``, and further values of it.
+        kl_coeff: weight of the penalty at the start; 0 for none.
+        kl_target: divergence per update that the weight is adapted to; ``None`` keeps it.
+        value_clip: largest change of a value in an update that lowers the critic's loss,
+            TorchRL's ``clip_value``; RLlib's ``vf_clip_param`` until 2021.
+        value_error_clip: largest squared error of a value; beyond it there is no gradient.
+            RLlib's ``vf_clip_param`` since.
+
+    Raises:
+        ValueError: if a value is out of its range, or there is a target without a weight.
+
+    Source: Schulman et al., "Proximal policy optimization algorithms", 2017, both variants at
+    once; rule of adaptation and its thresholds as in RLlib's PPO (Liang et al., ICML 2018); the
+    estimate of the divergence: Schulman, "Approximating KL divergence", 2020.
+    """
+
+    kl_coeff: Tensor
+    out_keys: list[str]
+
+    def __init__(
+        self,
+        actor_network: torch.nn.Module,
+        critic_network: torch.nn.Module,
+        *,
+        kl_coeff: float = 0.0,
+        kl_target: float | None = None,
+        value_clip: float | None = None,
+        value_error_clip: float | None = None,
+        **values: object,
+    ):
+        super().__init__(actor_network, critic_network, clip_value=value_clip, **values)
+        if kl_coeff < 0:
+            raise ValueError(f"kl_coeff must not be negative, got {kl_coeff}.")
+        if kl_target is not None and not (kl_target > 0 and kl_coeff > 0):
+            raise ValueError(
+                f"kl_target must be positive and go with a positive kl_coeff, got {kl_target} "
+                f"with kl_coeff {kl_coeff}."
+            )
+        for name, bound in (("value_clip", value_clip), ("value_error_clip", value_error_clip)):
+            if bound is not None and not bound > 0:
+                raise ValueError(f"{name} must be positive or null, got {bound}.")
+        self.kl_target, self.value_error_clip = kl_target, value_error_clip
+        self.register_buffer("kl_coeff", torch.tensor(float(kl_coeff)))
+        self.penalized = kl_coeff > 0
+        if self.penalized:
+            self.out_keys = [*self.out_keys, "loss_kl", "kl_coeff"]
+        self._log_ratio: Any = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Losses and figures of a batch, each ``()``."""
+        out = super().forward(tensordict)
+        log_ratio, self._log_ratio = self._log_ratio, None
+        if self.penalized:
+            divergence = (log_ratio.exp() - 1 - log_ratio).mean()
+            out.set("loss_kl", self.kl_coeff * divergence)
+            out.set("kl_coeff", self.kl_coeff.clone())
+        return out
+
+    def adapt(self, divergence: float) -> None:
+        """Moves the weight of the penalty after an update that had so much of divergence."""
+        if self.kl_target is None:
+            return
+        if divergence > 2 * self.kl_target:
+            self.kl_coeff.mul_(1.5)
+        elif divergence < self.kl_target / 2:
+            self.kl_coeff.mul_(0.5)
+
+    def loss_critic(
+        self, tensordict: TensorDictBase
+    ) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        loss, *figures = super().loss_critic(tensordict)
+        if self.value_error_clip is not None:
+            loss = loss.clamp(max=self.critic_coeff * self.value_error_clip)
+        return loss, *figures
+
+    def _log_weight(self, *args: object, **kwargs: object) -> tuple:
+        """What TorchRL computes anyway and does not give out: the actor need not run again."""
+        result = super()._log_weight(*args, **kwargs)
+        self._log_ratio = result[0]
+        return result
