@@ -15,6 +15,7 @@ from zfall.envs.rotations import (
     tilt,
     turn_between,
     turn_to_heading,
+    turned,
     up_axis,
     wrap,
 )
@@ -35,6 +36,14 @@ def test_rotate_agrees_with_scipy(turns):
     quaternion, rotation = turns
     vector = torch.randn(200, 3, dtype=torch.float64)
     np.testing.assert_allclose(rotate(quaternion, vector), rotation.apply(vector), atol=1e-12)
+
+
+def test_turned_agrees_with_scipy(turns):
+    quaternion, rotation = turns
+    angle = torch.linspace(-4.0, 4.0, 200, dtype=torch.float64)
+    expected = (Rotation.from_euler("z", angle[:, None]) * rotation).as_matrix()
+    found = Rotation.from_quat(turned(quaternion, angle)[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_rotate_inverse_agrees_with_scipy(turns):

@@ -18,6 +18,16 @@ def rotate_inverse(quaternion: Tensor, vector: Tensor) -> Tensor:
     return vector - scalar * twice + torch.linalg.cross(axis, twice)
 
 
+def turned(quaternion: Tensor, angle: Tensor) -> Tensor:
+    """Orientation ``(*B, 4)`` turned by ``angle`` ``(*B,)`` [rad] about the world's up axis."""
+    half = 0.5 * angle.unsqueeze(-1)
+    cos, sin = half.cos(), half.sin()
+    w, x, y, z = quaternion.split(1, -1)
+    return torch.cat(
+        [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], -1
+    )
+
+
 def up_axis(quaternion: Tensor) -> Tensor:
     """World up seen from the body ``(*B, 3)``, the third row of the rotation matrix."""
     w, x, y, z = quaternion.unbind(-1)

@@ -28,6 +28,12 @@ TABLE = {  # in the order of a yaml
         "joint_position": 0.05,
         "joint_velocity": 0.2,
     },
+    "reference": {
+        "_target_": "zfall.envs.transforms.starts.ReferenceStart",
+        "motions": ["forward_0.10", "turn_left_0.5"],
+        "joint_position": 0.05,
+        "heading": True,
+    },
     "planner": {"_target_": f"{_ACTIONS}.ServoPlanner"},
     "deadband": {"_target_": f"{_ACTIONS}.Deadband", "width": 0.01},
     "backlash": {"_target_": f"{_ACTIONS}.Backlash", "width": 0.02},

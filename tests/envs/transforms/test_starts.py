@@ -6,8 +6,12 @@ import torch
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
+from zfall.envs.motions import load_motions
+from zfall.envs.robots import ZEROTH01
+from zfall.envs.rotations import rotate_inverse, tilt
+from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.actions import JointPositionTarget
-from zfall.envs.transforms.starts import NoisyStart, ScriptedStart
+from zfall.envs.transforms.starts import NoisyStart, ReferenceStart, ScriptedStart
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
 
@@ -36,6 +40,120 @@ def test_partial_reset_draws_the_same_stream_whoever_fell(make_task):
         td["_reset"] = rows
         starts.append(env.reset(td)["joint_position"][2])
     assert torch.equal(starts[0], starts[1])
+
+
+def reference(make_task, num_envs: int = 256, **values: object):
+    return make_task({**ACTION, "start": (ReferenceStart, values)}, num_envs=num_envs)
+
+
+def heading(quaternion: torch.Tensor) -> torch.Tensor:
+    """Of an upright body [rad]."""
+    return 2 * torch.atan2(quaternion[:, 3], quaternion[:, 0])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_reference_starts_are_states_of_the_motions_with_a_foot_at_rest_on_the_floor(
+    make_task, turned
+):
+    env = reference(make_task, heading=turned)
+    check_env_specs(env)
+    td = env.reset()
+    library = load_motions(ZEROTH01)
+    states = {
+        key: torch.cat([torch.from_numpy(motion.states[key]) for motion in library.values()])
+        for key in library["standing"].states
+    }
+    gap = torch.cdist(td["joint_position"], states["joint_position"], p=1)
+    gap += torch.cdist(td["joint_velocity"], states["joint_velocity"], p=1)
+    nearest = gap.min(1)
+    assert nearest.values.max() < 1e-3
+    row = nearest.indices
+    assert_close(td["base_angular_velocity"], states["base_angular_velocity"][row])
+    seen, velocity = (
+        rotate_inverse(orientation, speed)
+        for orientation, speed in (
+            (td["base_orientation"], td["base_linear_velocity"]),
+            (states["base_orientation"][row], states["base_linear_velocity"][row]),
+        )
+    )
+    assert_close(seen, velocity, atol=1e-5, rtol=0)
+    assert tilt(td["base_orientation"]).max() < 1e-3
+    angle = heading(td["base_orientation"])
+    if turned:  # the mean of 256 random directions is rarely longer than 3 / sqrt(256)
+        assert torch.polar(torch.ones(256), angle).mean().abs() < 0.19
+    else:
+        assert angle.abs().max() < 1e-6
+    # MuJoCo's own speed of the lower foot, in the world: frames and signs must all be right.
+    height, lower = td["feet_position"][..., 2].min(-1)
+    assert_close(height, torch.zeros(256), atol=3e-4, rtol=0)
+    rows = torch.arange(256)
+    assert_close(td["feet_velocity"][rows, lower], torch.zeros(256, 3), atol=1e-4, rtol=0)
+    assert_close(td["base_position"][:, :2], torch.zeros(256, 2))
+
+
+def test_reference_starts_are_uniform_over_motions_and_phases(make_task):
+    """Half of the starts stand; the rest spread evenly over six parts of the stride."""
+    env = reference(make_task, 1536, motions=["standing", "forward_0.10"])
+    td = env.reset()
+    motion = torch.from_numpy(load_motions(ZEROTH01)["forward_0.10"].states["joint_position"])
+    phase = torch.cdist(td["joint_position"], motion).min(1)
+    walking = phase.values < 1e-3
+    assert walking.float().mean().item() == pytest.approx(0.5, abs=0.05)  # 4 sigma
+    stand = env.base_env.stand_position.expand(1536, 20)
+    assert_close(td["joint_position"][~walking], stand[~walking])
+    parts = torch.bincount(phase.indices[walking] // 10, minlength=6)
+    expected = walking.sum() / 6
+    assert ((parts - expected).square() / expected).sum() < 20.5  # chi2, 5 degrees, p = 0.001
+
+
+def test_reference_noise_has_its_deviations_and_keeps_a_sole_on_the_floor(make_task):
+    noise = {"joint_position": 0.05, "joint_velocity": 0.3}
+    td = reference(make_task, motions=["standing"], **noise).reset()
+    error = td["joint_position"] - torch.tensor(ZEROTH01.stand_position)
+    assert error.std().item() == pytest.approx(0.05, rel=0.07)
+    assert td["joint_velocity"].std().item() == pytest.approx(0.3, rel=0.07)
+    td = reference(make_task, **noise).reset()
+    corner = torch.tensor(ZEROTH01.sole_half_size).sum() * 0.4  # of a sole that leans by 0.4 rad
+    height = td["feet_position"][..., 2].amin(-1)
+    assert (height > 0).all()
+    assert (height < corner).all()
+
+
+def test_reference_starts_draw_the_same_stream_whoever_fell(make_task):
+    starts = []
+    for fallen in ([2], [0, 1, 2]):
+        env = reference(make_task, 3, joint_position=0.05, heading=True)
+        env.set_seed(4)
+        td = env.reset()
+        before = td["joint_position"].clone()
+        rows = torch.zeros(3, 1, dtype=torch.bool)
+        rows[fallen] = True
+        td["_reset"] = rows
+        td = env.reset(td)
+        assert torch.equal(td["joint_position"][~rows[:, 0]], before[~rows[:, 0]])
+        starts.append(torch.cat([td["joint_position"][2], td["base_orientation"][2]]))
+    assert torch.equal(starts[0], starts[1])
+
+
+def test_servos_can_halt_every_motion_they_start_in(make_task):
+    """Close to dynamic stability: the standing pose as target catches the robot."""
+    env = reference(make_task, 128, joint_position=0.05, joint_velocity=0.2)
+    td, fell = env.reset(), torch.zeros(128, dtype=torch.bool)
+    for _ in range(15):  # 0.6 s, two steps of the gaits
+        td["action"] = torch.zeros(128, 20)
+        td = env.step(td)["next"]
+        fell |= body_contact(td, td)[:, 0]
+    assert fell.sum() <= 2
+
+
+@pytest.mark.parametrize(("values", "message"), [
+    ({"motions": ["forward_0.10", "crawl"]}, r"motions must be of standing, .*, got crawl"),
+    ({"motions": []}, r"motions must be of standing, .*, got none"),
+    ({"joint_velocity": -1.0}, "joint_velocity must not be negative, got -1"),
+])  # fmt: skip
+def test_bad_reference_starts_are_refused(make_base, values, message):
+    with pytest.raises(ValueError, match=message):
+        ReferenceStart(make_base(), **values)
 
 
 def test_scripted_start_is_the_state_given(make_task):
