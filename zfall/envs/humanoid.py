@@ -18,15 +18,15 @@ from zfall.envs.quantities import SUBSTEP_KEYS, Quantities
 from zfall.envs.robots import ZEROTH01, PushPoint, Robot
 from zfall.envs.simulation import Simulation
 
-START_KEYS = (
+STATE_KEYS = (  # what a state of the robot is made of
     "joint_position",
     "joint_velocity",
     "base_position",
     "base_orientation",
     "base_linear_velocity",
     "base_angular_velocity",
-    "clearance",
 )
+START_KEYS = (*STATE_KEYS, "clearance")
 
 
 class HumanoidEnv(EnvBase):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zfall.envs.gaits import Gait, Times, center_of_mass, feet
-from zfall.envs.humanoid import START_KEYS
+from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.robots import ZEROTH01, Robot
 
 _WALK = {
@@ -36,7 +36,7 @@ class Motion(NamedTuple):
     """States that follow each other at equal times and then repeat.
 
     period: of the motion [s], 0 for a rest.
-    states: by name, one of ``START_KEYS``, values ``(K, ...)`` float32.
+    states: by name, one of ``STATE_KEYS``, values ``(K, ...)`` float32.
     """
 
     period: float
@@ -60,7 +60,7 @@ def standing(robot: Robot) -> States:
 
 
 def walk(robot: Robot, gait: Gait, time: Times) -> States:
-    """States of the robot at times of a stride, of names ``START_KEYS`` ``(T, ...)`` float64.
+    """States of the robot at times of a stride, of names ``STATE_KEYS`` ``(T, ...)`` float64.
 
     The trunk is upright and heads along the line, the arms keep the standing pose. Joints of the
     legs and position of the base follow from the poses of both soles and the position of the
@@ -167,7 +167,7 @@ def _states(
         qvel[:, [int(joint.dofadr[0]) for joint in joints]],
         *(qpos[:, :3], qpos[:, 3:7], qvel[:, :3], qvel[:, 3:6]),
     )
-    return dict(zip(START_KEYS, parts, strict=True))
+    return dict(zip(STATE_KEYS, parts, strict=True))
 
 
 def motions_file(robot: Robot) -> Path:
@@ -179,7 +179,7 @@ def save_motions(motions: dict[str, Motion], path: Path) -> None:
     """Writes motions in a row, float32."""
     arrays: dict[str, NDArray] = {
         key: np.concatenate([m.states[key] for m in motions.values()]).astype(np.float32)
-        for key in START_KEYS
+        for key in STATE_KEYS
     }
     arrays["name"] = np.array(list(motions))
     arrays["period"] = np.array([motion.period for motion in motions.values()])
@@ -198,8 +198,8 @@ def load_motions(robot: Robot) -> dict[str, Motion]:
         raise ValueError(f"robot must have reference motions, {robot.name} lacks {path}.")
     with np.load(path, allow_pickle=False) as file:
         ends = np.cumsum(file["count"])[:-1]
-        parts = {key: np.split(file[key], ends) for key in START_KEYS}
+        parts = {key: np.split(file[key], ends) for key in STATE_KEYS}
         return {
-            str(name): Motion(float(period), {key: parts[key][i] for key in START_KEYS})
+            str(name): Motion(float(period), {key: parts[key][i] for key in STATE_KEYS})
             for i, (name, period) in enumerate(zip(file["name"], file["period"], strict=True))
         }

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 from torchrl.envs.transforms.utils import _get_reset
 
-from zfall.envs.humanoid import START_KEYS, HumanoidEnv
+from zfall.envs.humanoid import START_KEYS, STATE_KEYS, HumanoidEnv
 from zfall.envs.motions import load_motions
 from zfall.envs.rotations import rotate, turned
 from zfall.envs.transforms.values import per_world
@@ -104,7 +104,7 @@ class ReferenceStart(Transform):
     it faces is that of x, or any if ``heading``. The lowest corner of the soles is put on the
     floor: in the motions it is there, and noise would push a sole into it otherwise.
 
-    Writes, for the reset of the base env, ``("start", NAME)`` ``(N, ...)`` for all ``START_KEYS``
+    Writes, for the reset of the base env, ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS``
     but ``base_position``; angles are clamped to the joint ranges.
 
     Args:
@@ -147,7 +147,7 @@ class ReferenceStart(Transform):
         chosen = [there[name].states for name in names]
         self.count = torch.tensor([len(states["joint_position"]) for states in chosen])
         self.first = self.count.cumsum(0) - self.count
-        keys = [key for key in START_KEYS if key != "base_position"]
+        keys = [key for key in STATE_KEYS if key != "base_position"]
         states = {
             key: torch.from_numpy(np.concatenate([states[key] for states in chosen]))
             for key in keys
