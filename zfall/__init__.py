@@ -8,9 +8,9 @@ import gymnasium
 
 TASKS = (
     "atalante_standing",
+    "icub_balance",
     "push_recovery",
     "push_recovery_realistic",
-    "icub_balance",
     "zeroth_fall",
 )  # the tables of recipes/env that gymnasium knows by name
 

@@ -8,6 +8,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.make import make_env
+from zfall.envs.terms.effort import joint_limits
 from zfall.envs.terms.posture import reference_posture
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.rewards import WeightedReward
@@ -58,6 +59,21 @@ def test_term_that_asks_for_the_robot_gets_it(make_base):
     td["action"] = torch.zeros(3, 20)
     reward = env.step(td)["next", "reward"]
     assert (reward > 0.98).all()  # it stands in the reference pose, but for its own weight
+
+
+def test_term_that_asks_for_the_ranges_of_the_joints_gets_them_unless_it_has_some(make_base):
+    narrow = torch.zeros(20, 2)
+    terms = {
+        "its": (1.0, joint_limits),
+        "mine": (1.0, partial(joint_limits, joint_range=narrow)),
+    }
+    env = build(make_base, terms)
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    after = env.step(td)["next"]
+    assert_close(after["reward_terms", "its"], torch.zeros(3, 1))
+    size = after["joint_position"].abs().sum(-1, keepdim=True)
+    assert_close(after["reward_terms", "mine"], size)
 
 
 def test_table_without_a_term_is_refused(make_base):

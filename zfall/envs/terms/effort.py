@@ -7,9 +7,7 @@ from torch import Tensor
 from zfall.envs.terms.kernels import rbf
 
 
-def action_rate(
-    td: TensorDictBase, next_td: TensorDictBase, *, per_joint: bool = False
-) -> Tensor:
+def action_rate(td: TensorDictBase, next_td: TensorDictBase, *, per_joint: bool = False) -> Tensor:
     """Squared change of the action from one step to the next, summed over joints.
 
     Reads ``action`` and ``last_action`` ``(*B, J)`` before the step, without unit. With

@@ -30,7 +30,8 @@ def balanced_load(
 ) -> Tensor:
     """High where each foot carries half of the robot: mean over feet of ``rbf(F_z, m g / 2)``.
 
-    With ``per_foot`` the sum over feet, so that the weight is that of each. Reads ``feet_force`` ``(*B, 2, 3)`` [N; world]; ``cutoff`` [N]. Returns ``(*B, 1)`` in (0, 1].
+    With ``per_foot`` the sum over feet, so that the weight is that of each. Reads ``feet_force``
+    ``(*B, 2, 3)`` [N; world]; ``cutoff`` [N]. Returns ``(*B, 1)`` in (0, 1], or in (0, 2].
 
     Source: Ferigo et al., RA-L 2021, table II (feet contact forces).
     """
@@ -50,8 +51,9 @@ def centered_pressure(
 ) -> Tensor:
     """High where each foot is pressed on at its center: mean over feet of ``rbf(cop, 0)``.
 
-    A foot in the air counts 0. With ``per_foot`` the sum over feet. Reads ``feet_cop`` ``(*B, 2, 2)`` [m; sole] and ``feet_contact``;
-    ``cutoff`` [m]. Returns ``(*B, 1)`` in [0, 1].
+    A foot in the air counts 0. With ``per_foot`` the sum over feet. Reads ``feet_cop``
+    ``(*B, 2, 2)`` [m; sole] and ``feet_contact``; ``cutoff`` [m]. Returns ``(*B, 1)`` in [0, 1],
+    or in [0, 2].
 
     Source: Ferigo et al., RA-L 2021, table II (feet CoPs).
     """
@@ -70,8 +72,9 @@ def flat_feet(
 ) -> Tensor:
     """High where the soles are level: mean over feet of ``rbf(r_z . e_z, 1)``.
 
-    ``r_z`` is the sole's upward axis, ``e_z`` the world's. With ``per_foot`` the sum over feet. Reads ``feet_orientation``
-    ``(*B, 2, 4)``; ``cutoff`` has no unit. Returns ``(*B, 1)`` in (0, 1].
+    ``r_z`` is the sole's upward axis, ``e_z`` the world's. With ``per_foot`` the sum over feet.
+    Reads ``feet_orientation`` ``(*B, 2, 4)``; ``cutoff`` has no unit. Returns ``(*B, 1)`` in
+    (0, 1], or in (0, 2].
 
     Source: Ferigo et al., RA-L 2021, table II (feet orientation).
     """

@@ -73,7 +73,8 @@ def standing_height(
 def arm_pose(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -> Tensor:
     """Distance of the arms from the standing reference pose, ``sum_j |q_j - q0_j|`` [rad].
 
-    The joints of the arms are those that are not of the legs. Reads ``joint_position`` ``(*B, J)`` [rad]. Returns ``(*B, 1)``, at least 0.
+    The joints of the arms are those that are not of the legs. Reads ``joint_position`` ``(*B, J)``
+    [rad]. Returns ``(*B, 1)``, at least 0.
     """
     arms = [j for j, name in enumerate(robot.joints) if name not in robot.legs]
     position = next_td["joint_position"][..., arms]

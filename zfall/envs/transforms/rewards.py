@@ -19,7 +19,7 @@ class WeightedReward(Transform):
     under ``("reward_terms", name)`` ``(N, 1)``. What the terms read is said where they stand.
 
     Args:
-        env: the base env; terms with a parameter ``robot`` or ``joint_range`` are given its own.
+        env: the base env; terms that ask for ``robot`` or ``joint_range`` are given its own.
         terms: ``name: [weight, term]``, a term being a function of the TensorDicts before and
             after the step that returns ``(N, 1)``. A weight of ``null`` leaves the term out.
 

@@ -62,9 +62,9 @@ class NoisyStart(Transform):
         tensordict["start", "joint_position"] = torch.clamp(angle, low, high)
         tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[1]
         if self.clearance is not None:
-            low, high = (per_world(bound, 2) for bound in self.clearance)
+            least, most = (per_world(bound, 2) for bound in self.clearance)
             u = torch.rand(self.num_envs, 1, generator=self.rng)
-            tensordict["start", "clearance"] = torch.clamp_min(low + (high - low) * u, 0.0)
+            tensordict["start", "clearance"] = torch.clamp_min(least + (most - least) * u, 0.0)
         return tensordict
 
 

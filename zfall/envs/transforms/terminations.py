@@ -19,7 +19,7 @@ class Terminations(Transform):
     condition under ``("terminations", name)`` ``(N, 1)`` bool.
 
     Args:
-        env: the base env; conditions with a parameter ``robot`` or ``joint_range`` are given its own.
+        env: the base env; conditions that ask for ``robot`` or ``joint_range`` are given its own.
         conditions: ``name: condition``, a function of the TensorDicts before and after the step
             that returns ``(N, 1)`` bool. ``null`` leaves the condition out.
     """

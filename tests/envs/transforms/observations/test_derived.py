@@ -42,7 +42,9 @@ def test_roll_and_pitch_are_angles_of_the_sequence_z_x_y(turned):
     td, rotation = turned
     out = BasePose()._call(td)
     expected = rotation.as_euler("ZXY")[:, 1:]
-    np.testing.assert_allclose(out["roll_pitch"].numpy(), expected, atol=2e-3)  # asin near 90 degrees
+    np.testing.assert_allclose(
+        out["roll_pitch"].numpy(), expected, atol=2e-3
+    )  # asin near 90 degrees
     assert_close(out["base_height"], td["base_position"][:, 2:])
 
 

@@ -15,14 +15,13 @@ def build(base):
 
 
 def test_effort_is_the_mean_of_what_an_env_of_single_physics_steps_reports(make_base):
-    """Its torques are those of one physics step; targets that turn around change their signs."""
+    """Its torques are those of one physics step; averaged with their signs they nearly cancel."""
     base, fine = make_base(num_envs=2), HumanoidEnv(num_envs=2, control_dt=0.004)
     env = build(base)
     check_env_specs(env)
     td, slow = env.reset(), fine.reset()
-    smaller = 0
     for _ in range(5):
-        td["action"] = 0.05 * torch.randn(2, 20)
+        td["action"] = 0.5 * torch.randn(2, 20)
         td = env.step(td)["next"]
         torques = []
         for _ in range(10):
@@ -31,8 +30,7 @@ def test_effort_is_the_mean_of_what_an_env_of_single_physics_steps_reports(make_
             torques.append(slow["joint_torque"])
         torque = torch.stack(torques)
         assert_close(td["joint_effort"][:, 0], torque.abs().mean((0, 2)), rtol=1e-4, atol=1e-6)
-        smaller += (torque.mean(0).abs().mean(-1) < 0.99 * td["joint_effort"][:, 0]).sum()
-    assert smaller > 5  # the mean of the torques themselves is another number
+        assert (torque.mean((0, 2)).abs() < 0.5 * td["joint_effort"][:, 0]).all()
 
 
 def test_partial_reset_leaves_the_other_rows_alone(make_base):

@@ -105,8 +105,8 @@ class FeetInBase(Transform):
 class ImuOrientation(Transform):
     """The quaternion of an IMU's own filter: of the two that mean the same, that with w >= 0.
 
-    Keys: reads ``base_orientation`` ``(N, 4)``, writes ``imu_orientation`` ``(N, 4)``, (w, x, y, z),
-    base to world.
+    Keys: reads ``base_orientation`` ``(N, 4)``, writes ``imu_orientation`` ``(N, 4)``,
+    (w, x, y, z), base to world.
     """
 
     measured = True

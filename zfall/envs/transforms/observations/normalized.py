@@ -53,6 +53,8 @@ class NormalizedVector(Transform):
         for name, bounds in ranges.items():
             if name not in self.keys:
                 raise ValueError(f"ranges must name quantities of keys, got {name}.")
+            low: float | Tensor
+            high: float | Tensor
             if bounds == "joint_range":
                 low, high = env.joint_range.unbind(-1)
             elif isinstance(bounds, str) or len(bounds) != 2 or not bounds[0] < bounds[1]:
