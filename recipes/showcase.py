@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import torch
 from omegaconf import DictConfig
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
@@ -69,7 +70,8 @@ def table(summaries: dict[str, dict[str, Any]]) -> Table:
     """Success by impulse and the headline figures, one column per policy."""
     first = next(iter(summaries.values()))
     duration = first["definition"]["duration"]
-    out = Table(title=f"planar, {first['n']} trials each: share recovered, 95 % interval")
+    title = f"planar, {first['n']} trials each: share recovered, 95 % interval"
+    out = Table(title=title, box=SIMPLE)
     out.add_column(f"push I (N for {duration:g} s)")
     for name in summaries:
         out.add_column(name, justify="right")
