@@ -6,6 +6,7 @@ import torch
 from scipy.spatial.transform import Rotation, Slerp
 
 from zfall.envs.rotations import (
+    cos_tilt,
     heading,
     mean_orientation,
     roll_and_pitch,
@@ -64,6 +65,13 @@ def test_up_axis_is_world_up_in_the_body(turns):
 def test_tilt_is_the_angle_of_a_turn_about_a_level_axis(axis, degrees):
     wxyz = Rotation.from_euler(axis, degrees, degrees=True).as_quat()[[3, 0, 1, 2]]
     assert torch.rad2deg(tilt(torch.tensor(wxyz))).item() == pytest.approx(degrees, abs=1e-5)
+
+
+def test_cosine_of_the_tilt_is_the_last_entry_of_the_rotation_matrix(turns):
+    quaternion, rotation = turns
+    np.testing.assert_allclose(
+        cos_tilt(quaternion)[..., 0], rotation.as_matrix()[:, 2, 2], atol=1e-12
+    )
 
 
 def test_turning_on_the_spot_is_no_tilt():

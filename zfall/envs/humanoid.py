@@ -232,7 +232,7 @@ class HumanoidEnv(EnvBase):
             control = tensordict["target"][:, None].expand(-1, self.substeps, -1)
         wrench = tensordict.get(("push", "wrench"), None)
         self._disturb(tensordict)
-        sensors = self.simulation.step(control[..., self._to_actuators], wrench)
+        sensors = self.simulation.step(control.index_select(-1, self._to_actuators), wrench)
         diverged = self.simulation.diverged
         if diverged.any():  # such a world ends here, in a state the learner can read
             sensors = self._place(diverged, {})
@@ -275,17 +275,16 @@ class HumanoidEnv(EnvBase):
             if self._recorded:
                 out["substeps"] = self._substeps(sensors, slice(None))
         else:  # the sensor values are the same in all steps of the new rows
+            index = rows.nonzero()[:, 0]
             own = (self.parameters.gravity, self.parameters.mass)
-            gravity, mass = (None if value is None else value[rows] for value in own)
-            new = self._quantities(qpos[rows], qvel[rows], sensors[rows, -1:], gravity, mass)
+            gravity, mass = (None if value is None else value[index] for value in own)
+            new = self._quantities(qpos[index], qvel[index], sensors[index, -1:], gravity, mass)
             if self._recorded:
-                new["substeps"] = self._substeps(sensors, rows)
-            out = TensorDict(
-                {k: v.new_zeros(self.num_envs, *v.shape[1:]) for k, v in new.items(True, True)},
-                batch_size=self.batch_size,
-            )
+                new["substeps"] = self._substeps(sensors, index)
+            out = TensorDict(batch_size=self.batch_size)
             for key, value in new.items(True, True):
-                out[key][rows] = value
+                blank = value.new_zeros(self.num_envs, *value.shape[1:])
+                out[key] = blank.index_copy_(0, index, value)
         if self.ball:
             for key, state, columns in zip(
                 ("position", "velocity"), (qpos, qvel), self._ball, strict=True

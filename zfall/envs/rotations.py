@@ -35,6 +35,11 @@ def up_axis(quaternion: Tensor) -> Tensor:
     return torch.stack(up, -1)
 
 
+def cos_tilt(quaternion: Tensor) -> Tensor:
+    """Cosine of ``tilt`` ``(*B, 1)``: the share of the body's up axis that points up."""
+    return 1.0 - 2.0 * quaternion[..., 1:3].square().sum(-1, keepdim=True)
+
+
 def tilt(quaternion: Tensor) -> Tensor:
     """Angle between the body's and the world's up axes ``(*B,)`` [rad], in [0, pi]."""
     up = up_axis(quaternion)

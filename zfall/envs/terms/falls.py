@@ -1,9 +1,11 @@
 """Conditions under which a robot counts as fallen."""
 
+import math
+
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.rotations import tilt
+from zfall.envs.rotations import cos_tilt
 
 
 def body_contact(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
@@ -20,7 +22,7 @@ def tilted(td: TensorDictBase, next_td: TensorDictBase, *, angle: float) -> Tens
 
     Reads ``base_orientation`` ``(*B, 4)``. Returns ``(*B, 1)`` bool.
     """
-    return (tilt(next_td["base_orientation"]) > angle).unsqueeze(-1)
+    return cos_tilt(next_td["base_orientation"]) < math.cos(angle)
 
 
 def low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor:

@@ -5,7 +5,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.robots import Robot
-from zfall.envs.rotations import tilt
+from zfall.envs.rotations import cos_tilt
 from zfall.envs.terms.kernels import rbf
 
 
@@ -27,8 +27,7 @@ def upright(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Ten
 
     Reads ``base_orientation`` ``(*B, 4)``; ``sigma`` has no unit. Returns ``(*B, 1)`` in (0, 1].
     """
-    angle = tilt(next_td["base_orientation"])
-    return torch.exp((angle.cos() - 1.0) / sigma).unsqueeze(-1)
+    return torch.exp((cos_tilt(next_td["base_orientation"]) - 1.0) / sigma)
 
 
 def reference_posture(
