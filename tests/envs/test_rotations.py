@@ -12,6 +12,7 @@ from zfall.envs.rotations import (
     roll_and_pitch,
     rotate,
     rotate_inverse,
+    rotation_angle,
     rotation_vector,
     tilt,
     turn_between,
@@ -98,6 +99,8 @@ def test_rotation_vector_is_the_logarithm_whatever_the_sign_of_the_quaternion(tu
     for sign in (1, -1):
         vector = rotation_vector(sign * quaternion)
         np.testing.assert_allclose(vector, rotation.as_rotvec(), atol=1e-10)
+        angle = rotation_angle(sign * quaternion)[:, 0]
+        np.testing.assert_allclose(angle, rotation.magnitude(), atol=1e-10)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 1e-4, 3.14])

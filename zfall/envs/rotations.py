@@ -79,6 +79,12 @@ def turn_between(start: Tensor, end: Tensor) -> Tensor:
     return torch.cat([scalar, w * other + v * axis + torch.linalg.cross(axis, other)], -1)
 
 
+def rotation_angle(quaternion: Tensor) -> Tensor:
+    """Angle of a rotation the shorter way round ``(*B, 1)`` [rad], in [0, pi]."""
+    sine = quaternion[..., 1:].norm(dim=-1, keepdim=True)
+    return 2.0 * torch.atan2(sine, quaternion[..., :1].abs())
+
+
 def rotation_vector(quaternion: Tensor) -> Tensor:
     """Axis times angle ``(*B, 3)`` [rad] of the shorter way round, the logarithm of a rotation."""
     quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)

@@ -36,19 +36,20 @@ def footprint_distance(center: Tensor, half: Tensor) -> Tensor:
         center: of the two ``(*B, 2, 2)`` [m].
         half: their half edges ``(*B, 2, 2, 2)`` [m]; some may be zero, or all parallel.
     """
-    d = center[..., 1:, :] - center[..., :1, :]
-    g = half.flatten(-3, -2)  # (*B, 4, 2)
-    turned = torch.stack([-g[..., 1], g[..., 0]], -1)
-    cross = turned @ g.transpose(-2, -1)  # g_i x g_j (*B, i, j)
-    across, along = (turned * d).sum(-1), (g * d).sum(-1)
-    overlap = (across.abs() <= cross.abs().sum(-1)).all(-1)
-    # Only a polygon without area needs to be looked at from its end, too.
-    overlap &= (along.abs() <= (g @ g.transpose(-2, -1)).abs().sum(-1)).all(-1)
+    # Worlds come last, which makes sums over the few edges fast.
+    x, y = half.flatten(-3, -2).movedim((-1, -2), (0, 1)).contiguous()  # g (4, *B)
+    dx, dy = (center[..., 1, :] - center[..., 0, :]).unbind(-1)
+    cross = x[:, None] * y - y[:, None] * x  # g_i x g_j (i, j, *B)
+    across, width = x * dy - y * dx, cross.abs().sum(1)
+    inside = (across.abs() <= width).all(0) & (width > 0).any(0)  # without area: no inside
     # Parallel edges lie one behind the other, in any order as long as it is one: the sign of
     # (i, j) is the opposite of that of (j, i), whatever the rounding.
-    sign = torch.where(cross < 0, -1.0, 1.0).triu(1)
-    middle = (sign - sign.transpose(-2, -1)) @ g
-    offset = d - torch.where(across < 0, -1.0, 1.0).unsqueeze(-1) * middle
-    share = (offset * g).sum(-1) / g.square().sum(-1).clamp_min(1e-12)
-    away = offset - share.clamp(-1.0, 1.0).unsqueeze(-1) * g
-    return away.norm(dim=-1).amin(-1).masked_fill(overlap, 0.0)
+    upper = torch.ones(4, 4).triu(1).view(4, 4, *[1] * dx.dim())
+    sign = torch.where(cross < 0, -upper, upper)
+    sign = sign - sign.transpose(0, 1)
+    side = torch.where(across < 0, -1.0, 1.0)
+    x_off, y_off = dx - side * (sign * x).sum(1), dy - side * (sign * y).sum(1)
+    length2 = (x * x + y * y).clamp_min(1e-12)
+    share = ((x_off * x + y_off * y) / length2).clamp(-1.0, 1.0)
+    away2 = (x_off - share * x).square() + (y_off - share * y).square()
+    return away2.amin(0).sqrt().masked_fill(inside, 0.0)

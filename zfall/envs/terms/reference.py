@@ -18,7 +18,7 @@ from zfall.envs.robots import Robot
 from zfall.envs.rotations import (
     mean_orientation,
     rotate_inverse,
-    rotation_vector,
+    rotation_angle,
     turn_between,
 )
 from zfall.envs.stance import stance
@@ -113,7 +113,7 @@ def feet_relative_orientation(
     left, right = next_td["feet_orientation"].unbind(-2)
     turn = turn_between(left, right)
     # |log(R R0^T)| = |log(R0^T R)|: turning both by R0 does not change an angle.
-    error = rotation_vector(turn_between(stance(robot).feet_turn.expand_as(turn), turn))
+    error = rotation_angle(turn_between(stance(robot).feet_turn.expand_as(turn), turn))
     return rbf(error, 0.0, cutoff=cutoff, epsilon=epsilon)
 
 

@@ -33,12 +33,14 @@ class Terminations(Transform):
         }
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        terminated = next_tensordict["terminated"]
         for name, condition in self.conditions.items():
             holds = condition(tensordict, next_tensordict)
             next_tensordict["terminations", name] = holds
-            for key in ("terminated", "done"):  # collectors look at "done" alone
-                next_tensordict[key] = next_tensordict[key] | holds
-        return next_tensordict
+            terminated = terminated | holds
+        next_tensordict["terminated"] = terminated
+        # Collectors look at "done" alone.
+        return next_tensordict.set("done", next_tensordict["done"] | terminated)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

@@ -37,7 +37,8 @@ class MeanVelocity(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         old, new = tensordict["base_orientation"], next_tensordict["base_orientation"]
         moved = next_tensordict["base_position"] - tensordict["base_position"]
-        turned = wrap(heading(new) - heading(old))
+        before, after = heading(torch.stack([old, new]))
+        turned = wrap(after - before)
         velocity = torch.cat([moved[:, :2], turned], -1) / self.control_dt
         turning = rotation_vector(turn_between(old, new)) / self.control_dt
         next_tensordict["odometry_velocity"] = velocity
