@@ -167,7 +167,7 @@ def test_fixed_deviation_and_no_normaliser(compose_config):
     assert normalizer_of(learner.actor) is None
     assert normalizer_of(learner.critic) is None
     std = learner.policy.get_dist(learner.carrier).variance.sqrt()
-    assert_close(std, torch.full_like(std, 0.2))
+    assert_close(std, torch.full_like(std, 0.1))
 
 
 def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_config):

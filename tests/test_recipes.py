@@ -151,9 +151,7 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
 @pytest.mark.parametrize("name", [name + end for name in PAPERS for end in ("", "_laptop")])
 def test_every_experiment_learns(name, tmp_path):
     """Its networks, loss and optimizer, on a small batch."""
-    done = run(
-        "train", f"experiment={name}", "env=push_recovery", *TINY, f"hydra.run.dir={tmp_path}"
-    )
+    done = run("train", f"experiment={name}", *TINY, f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     metrics = pd.read_csv(tmp_path / "metrics.csv")
     assert metrics["frames"].tolist() == [32, 64]
@@ -164,8 +162,7 @@ def test_every_experiment_learns(name, tmp_path):
 def test_a_laptop_gets_the_same_task(name, compose_config):
     """Of the task only the physics' time step may differ."""
     paper, laptop = (
-        compose_config(f"experiment={name}{end}", "env=push_recovery", "num_envs=4").env
-        for end in ("", "_laptop")
+        compose_config(f"experiment={name}{end}", "num_envs=4").env for end in ("", "_laptop")
     )
     laptop.base_env.physics_dt = paper.base_env.physics_dt
     assert laptop == paper
@@ -175,7 +172,7 @@ def test_batches_are_those_that_were_published(compose_config):
     """Steps per update, steps or sequences per minibatch."""
     sizes = {}
     for name in PAPERS:
-        cfg = compose_config(f"experiment={name}", "env=push_recovery")
+        cfg = compose_config(f"experiment={name}")
         sizes[name] = cfg.num_envs * cfg.rollout_steps, cfg
     batch, cfg = sizes["icub_balance"]
     assert batch == pytest.approx(10_000, rel=0.01)
