@@ -11,6 +11,7 @@ from zfall.envs.terms.support import (
     com_in_support,
     convex_hull,
     distance_inside,
+    edge_distance,
     hull_center,
     sole_corners,
     support_hull,
@@ -37,12 +38,14 @@ def test_vertices_area_and_depth_agree_with_scipy(count):
     hull = convex_hull(points, used)
     query = points[:, :count].mean(1) + 0.05 * torch.randn(500, 2)
     depth, center = distance_inside(hull, query), hull_center(hull)
+    shrink = edge_distance(hull, query)
     for world in range(500):
         theirs = ConvexHull(points[world, :count].double().numpy())
         ours = hull.edges[world].any(1).nonzero()[:, 0].tolist()
         assert sorted(theirs.vertices.tolist()) == ours
         # Each row of equations is an outward unit normal and an offset: n x + d <= 0 inside.
         signed = -(theirs.equations[:, :2] @ query[world].double().numpy() + theirs.equations[:, 2])
+        assert shrink[world].item() == pytest.approx(signed.min(), abs=1e-5)
         if signed.min() >= 0:
             assert depth[world].item() == pytest.approx(signed.min(), abs=1e-5)
         else:
@@ -72,6 +75,8 @@ def test_points_on_a_line_a_single_one_and_none():
     hull = convex_hull(line.expand(4, 8, 2), used)
     depth = distance_inside(hull, torch.tensor([[2.0, -0.5], [2, 0], [3, 4], [0, 0]]))
     assert_close(depth, torch.tensor([-0.5, -1.0, -5.0, -torch.inf]))
+    beside = edge_distance(hull, torch.tensor([[2.0, -0.5], [2, 0.25], [3, 4], [0, 0]]))
+    assert_close(beside, torch.tensor([-0.5, -0.25, -torch.inf, -torch.inf]))
     center = torch.tensor([[1.5, 0.0], [0.5, 0], [0, 0], [0, 0]])
     assert_close(hull_center(hull), center)
 

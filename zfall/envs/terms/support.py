@@ -85,6 +85,25 @@ def convex_hull(points: Tensor, used: Tensor) -> Hull:
     return Hull(points, used, edges & used[..., :, None] & used[..., None, :])
 
 
+def edge_distance(hull: Hull, point: Tensor) -> Tensor:
+    """Distance of points from the nearest line through an edge of a hull, negative outside.
+
+    Args:
+        hull: of each world.
+        point: ``(*B, 2)`` [m].
+
+    Returns:
+        ``(*B,)`` [m], how far the hull may shrink before the point is outside; minus infinity
+        where the hull has no edge.
+    """
+    x, y = (point.unsqueeze(-2) - hull.points).unsqueeze(-2).unbind(-1)  # from i (*B, K, 1)
+    along_x, along_y = x - x.mT, y - y.mT  # from i to j (*B, K, K)
+    length = (along_x.square() + along_y.square()).sqrt_().clamp_min_(1e-9)
+    left = (along_x * y - along_y * x) / length
+    depth = torch.where(hull.edges, left, torch.inf).flatten(-2).amin(-1)
+    return torch.where(depth < torch.inf, depth, -torch.inf)
+
+
 def distance_inside(hull: Hull, point: Tensor) -> Tensor:
     """Distance of points from the border of a hull, negative outside.
 
@@ -97,14 +116,13 @@ def distance_inside(hull: Hull, point: Tensor) -> Tensor:
         nearest point of the hull; minus infinity where the hull has no point.
     """
     offset = point.unsqueeze(-2) - hull.points  # from i (*B, K, 2)
-    along_x, along_y = hull.points.unsqueeze(-3).sub(hull.points.unsqueeze(-2)).unbind(-1)
-    x, y = (value.unsqueeze(-1) for value in offset.unbind(-1))
+    x, y = offset.unsqueeze(-2).unbind(-1)
+    along_x, along_y = x - x.mT, y - y.mT  # from i to j (*B, K, K)
     square = (along_x.square() + along_y.square()).clamp_min(1e-18)
-    left = (along_x * y - along_y * x) / square.sqrt()
     place = ((along_x * x + along_y * y) / square).clamp(0.0, 1.0)
     away = (x - place * along_x).square() + (y - place * along_y).square()
     inf = float("inf")
-    depth = torch.where(hull.edges, left, inf).flatten(-2).amin(-1)
+    depth = edge_distance(hull, point)
     outside = torch.where(hull.edges, away, inf).flatten(-2).amin(-1)
     single = torch.where(hull.used, offset.square().sum(-1), inf).amin(-1)
     outside = torch.minimum(outside, single).sqrt()
@@ -134,11 +152,12 @@ def com_in_support(
 ) -> Tensor:
     """1 where the center of mass lies above the support polygon, shrunk by ``margin`` [m].
 
-    Only in double support, 0 else. Reads ``com_position`` ``(*B, 3)`` [m], ``feet_contact`` and
-    what ``support_hull`` reads. Returns ``(*B, 1)``.
+    All its edges move inward by that much. Only in double support, 0 else. Reads
+    ``com_position`` ``(*B, 3)`` [m], ``feet_contact`` and what ``support_hull`` reads. Returns
+    ``(*B, 1)``.
 
     Source: Ferigo et al., RA-L 2021, section IV-C (CoM projection).
     """
-    depth = distance_inside(support_hull(next_td, robot), next_td["com_position"][..., :2])
+    depth = edge_distance(support_hull(next_td, robot), next_td["com_position"][..., :2])
     both = next_td["feet_contact"].all(-1)
     return ((depth >= margin) & both).float().unsqueeze(-1)
