@@ -14,6 +14,7 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
+from zfall.envs.threads import physics_first
 from zfall.evaluation.battery import load_battery
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.ppo import PenalizedPPOLoss
@@ -100,7 +101,8 @@ class Learner:
     def collect(self) -> TensorDictBase:
         """Runs the policy for ``rollout_steps``; returns the batch ``(N, T)``."""
         steps = []
-        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        exploring = set_exploration_type(ExplorationType.RANDOM)
+        with torch.no_grad(), physics_first(), exploring:
             for _ in range(self.cfg.rollout_steps):
                 data, self.carrier = self.env.step_and_maybe_reset(self._acting(self.carrier))
                 steps.append(data.select(*self._stored, strict=False))

@@ -13,6 +13,13 @@ TERMS = {"odometry", "configuration", "feet_position", "feet_orientation", "capt
          "zero_moment_point", "weight", "tangential", "turning"}  # fmt: skip
 LIMITS = {"height", "tilt", "feet", "stops", "drift", "transient", "power"}
 QUIET = ["env.transforms.push.force=[0,0]"]
+_START = "env.transforms.start"
+AT_REST = [
+    *QUIET,
+    f"+{_START}.motions=[standing]",
+    f"{_START}.joint_position=0",
+    f"{_START}.joint_velocity=0",
+]
 
 
 @pytest.fixture
@@ -59,7 +66,7 @@ def test_rates_are_25_and_100_hz_over_a_physics_of_5_ms(build):
 
 
 def test_reward_is_a_normalised_sum_of_nine_and_next_to_1_at_rest(build):
-    env = build(*QUIET)
+    env = build(*AT_REST)
     reward = next(t for t in env.transform if isinstance(t, WeightedReward))
     weights = {name: weight for name, (weight, _) in reward.terms.items()}
     assert set(weights) == TERMS
@@ -86,7 +93,7 @@ def test_every_term_tells_rest_from_random_motion_and_none_goes_to_nothing(build
 
 
 def test_standing_breaks_no_limit_for_ten_seconds(build):
-    env = build(*QUIET)
+    env = build(*AT_REST)
     for td in hold(env, 10.0):
         assert set(td["terminations"].keys()) == LIMITS
         assert not td["done"].any()

@@ -120,7 +120,7 @@ class HumanoidEnv(EnvBase):
                 f"control_dt must be a multiple of physics_dt, got control_dt {control_dt} with "
                 f"physics_dt {physics_dt}; {max(substeps, 1) * physics_dt:g} would be."
             )
-        super().__init__(device="cpu", batch_size=[num_envs])
+        super().__init__(device=None, batch_size=[num_envs])  # with one, each step checks all keys
         self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
         self.control_dt, self.physics_dt = control_dt, physics_dt
         self.regions = robot.regions
@@ -259,32 +259,18 @@ class HumanoidEnv(EnvBase):
             key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)
         }
         sensors = self._place(rows, start)
-        return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool), rows)
+        return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool), reset=True)
 
-    def _observe(
-        self, sensors: Tensor, diverged: Tensor, rows: Tensor | None = None
-    ) -> TensorDictBase:
+    def _observe(self, sensors: Tensor, diverged: Tensor, *, reset: bool = False) -> TensorDictBase:
         """All keys; the episode ends only where the physics failed.
 
-        After a reset only ``rows`` count: the rest is zero, and TorchRL keeps what it had there.
+        After a reset only the new rows count: TorchRL keeps what it had in the others.
         """
         qpos, qvel = self.simulation.qpos, self.simulation.qvel
-        if rows is None:
-            parameters = self.parameters
-            out = self._quantities(qpos, qvel, sensors, parameters.gravity, parameters.mass)
-            if self._recorded:
-                out["substeps"] = self._substeps(sensors, slice(None))
-        else:  # the sensor values are the same in all steps of the new rows
-            index = rows.nonzero()[:, 0]
-            own = (self.parameters.gravity, self.parameters.mass)
-            gravity, mass = (None if value is None else value[index] for value in own)
-            new = self._quantities(qpos[index], qvel[index], sensors[index, -1:], gravity, mass)
-            if self._recorded:
-                new["substeps"] = self._substeps(sensors, index)
-            out = TensorDict(batch_size=self.batch_size)
-            for key, value in new.items(True, True):
-                blank = value.new_zeros(self.num_envs, *value.shape[1:])
-                out[key] = blank.index_copy_(0, index, value)
+        used = sensors[:, -1:] if reset else sensors  # the same in all steps of the new rows
+        out = self._quantities(qpos, qvel, used, self.parameters.gravity, self.parameters.mass)
+        if self._recorded:
+            out["substeps"] = self._substeps(sensors)
         if self.ball:
             for key, state, columns in zip(
                 ("position", "velocity"), (qpos, qvel), self._ball, strict=True
@@ -295,12 +281,12 @@ class HumanoidEnv(EnvBase):
         out["truncated"] = torch.zeros_like(diverged)
         return out
 
-    def _substeps(self, sensors: Tensor, rows: Tensor | slice) -> dict[str, Tensor]:
-        """What ``record_substeps`` asked for, of some worlds."""
-        qpos, qvel = (states[rows] for states in self.simulation.substates)
-        gravity = self.parameters.gravity
-        gravity = None if gravity is None else gravity[rows]
-        return self._quantities.substeps(self._recorded, qpos, qvel, sensors[rows], gravity)
+    def _substeps(self, sensors: Tensor) -> dict[str, Tensor]:
+        """What ``record_substeps`` asked for."""
+        qpos, qvel = self.simulation.substates
+        return self._quantities.substeps(
+            self._recorded, qpos, qvel, sensors, self.parameters.gravity
+        )
 
     def _place(self, rows: Tensor, start: dict[str, Tensor]) -> Tensor:
         """Puts worlds into their start state; returns the sensor values of all worlds."""

@@ -48,16 +48,19 @@ class Quantities:
             places = [torch.arange(sensors[name].start, sensors[name].stop) for name in names]
             return torch.stack(places)
 
-        self._acceleration = columns("base_acceleration")[0]
-        self._torque = columns(*(f"joint_torque/{joint}" for joint in robot.joints))[:, 0]
-        self._last = {
-            key: columns(key)[0] for key in ("com_position", "com_velocity", "angular_momentum")
+        self._acceleration = _span(columns("base_acceleration"))
+        self._torque = _span(columns(*(f"joint_torque/{joint}" for joint in robot.joints)))
+        self._last: dict[str, tuple[slice | Tensor, tuple[int, ...]]] = {
+            key: (_span(columns(key)), (3,))
+            for key in ("com_position", "com_velocity", "angular_momentum")
         }
-        for key in ("feet_position", "feet_orientation", "feet_velocity"):
-            self._last[key] = columns(*(f"{key}/{foot}" for foot in robot.feet))
-        self._contact = columns(*(f"feet_contact/{foot}" for foot in robot.feet))
+        for key, size in (("feet_position", 3), ("feet_orientation", 4), ("feet_velocity", 3)):
+            places = columns(*(f"{key}/{foot}" for foot in robot.feet))
+            self._last[key] = (_span(places), (len(robot.feet), size))
+        self._contact = _span(columns(*(f"feet_contact/{foot}" for foot in robot.feet)))
         corners = (f"{foot}/{corner}" for foot in robot.feet for corner in robot.corners)
         self._corners = columns(*(f"feet_corner_force/{corner}" for corner in corners))[:, 2]
+        self._num_feet = len(robot.feet)
         # Forces on the parts of a region add up: x of all regions, then y, then z.
         num = len(robot.regions)
         regions = enumerate(robot.regions)
@@ -84,32 +87,37 @@ class Quantities:
             gravity: direction of gravity ``(K, 3)`` [world] if the floor is not level.
             mass: total mass ``(K, 1)`` [kg] if it differs from world to world.
         """
-        qpos, qvel, values = qpos.float(), qvel.float(), sensors.float()
-        last, orientation = values[:, -1], qpos[:, 3:7].contiguous()
-        mean, acceleration = values.mean(1), values[..., self._acceleration]
+        qpos, qvel, last = qpos.float(), qvel.float(), sensors[:, -1].float()
+        orientation = qpos[:, 3:7].contiguous()
+        acceleration = sensors[..., self._acceleration].float()
         out = {
-            "joint_position": qpos[:, self.qpos_index],
-            "joint_velocity": qvel[:, self.qvel_index],
-            "joint_torque": mean[:, self._torque],
+            "joint_position": qpos.index_select(1, self.qpos_index),
+            "joint_velocity": qvel.index_select(1, self.qvel_index),
+            "joint_torque": sensors[..., self._torque].mean(1).float(),
             "base_position": qpos[:, :3].contiguous(),
             "base_orientation": orientation,
             "projected_gravity": _gravity(orientation, gravity),
             "base_linear_velocity": qvel[:, :3].contiguous(),
             "base_angular_velocity": qvel[:, 3:6].contiguous(),
-            "base_acceleration": mean[:, self._acceleration],
+            "base_acceleration": acceleration.mean(1),
             "base_acceleration_peak": acceleration.norm(dim=-1).amax(1, keepdim=True),
-            "contact_force_peak": self._peak_force(values),
+            "contact_force_peak": self._peak_force(sensors[..., self._forces].float()),
         }
-        out |= {key: last[:, columns] for key, columns in self._last.items()}
+        for key, (span, shape) in self._last.items():
+            out[key] = last[:, span].reshape(-1, *shape).clone()
         out["linear_momentum"] = (self.mass if mass is None else mass) * out["com_velocity"]
-        contact = last[:, self._contact]  # found, force of the foot on the floor, its center
+        contact = last[:, self._contact].unflatten(
+            -1, (self._num_feet, -1)
+        )  # found, force of the foot on the floor, its center
         touching = contact[..., 0] > 0
         from_center = contact[..., 4:7] - out["feet_position"]
         center = rotate_inverse(out["feet_orientation"], from_center)[..., :2]
         out["feet_contact"] = touching
         out["feet_force"] = -contact[..., 1:4]
         out["feet_cop"] = torch.where(touching[..., None], center, 0.0)
-        out["feet_corner_force"] = -last[:, self._corners].unflatten(-1, (2, -1))
+        out["feet_corner_force"] = -last.index_select(1, self._corners).unflatten(
+            -1, (self._num_feet, -1)
+        )
         return TensorDict(out, batch_size=[len(qpos)])
 
     def substeps(
@@ -131,7 +139,7 @@ class Quantities:
         read: dict[str, Callable[[], Tensor]] = {
             "joint_position": lambda: qpos.float().index_select(-1, self.qpos_index),
             "joint_velocity": lambda: qvel.float().index_select(-1, self.qvel_index),
-            "joint_torque": lambda: sensors.index_select(-1, self._torque),
+            "joint_torque": lambda: sensors[..., self._torque],
             "base_position": lambda: qpos[..., :3],
             "base_orientation": lambda: qpos[..., 3:7],
             "projected_gravity": lambda: _gravity(
@@ -143,10 +151,18 @@ class Quantities:
         }
         return {key: read[key]().float() for key in keys}
 
-    def _peak_force(self, values: Tensor) -> Tensor:
+    def _peak_force(self, forces: Tensor) -> Tensor:
         """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
-        x, y, z = (values[..., self._forces] @ self._region).chunk(3, -1)
+        x, y, z = (forces @ self._region).chunk(3, -1)
         return (x.square() + y.square() + z.square()).amax(1).sqrt()
+
+
+def _span(columns: Tensor) -> slice | Tensor:
+    """The columns, as a slice if they follow each other: a fraction of the time of an index."""
+    columns = columns.flatten()
+    first, last = int(columns.min()), int(columns.max())
+    consecutive = columns.tolist() == list(range(first, last + 1))
+    return slice(first, last + 1) if consecutive else columns
 
 
 def _gravity(orientation: Tensor, gravity: Tensor | None) -> Tensor:

@@ -18,6 +18,7 @@ from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
+from zfall.envs.threads import physics_first
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.metrics import Outcomes
@@ -191,7 +192,8 @@ def play(
 ) -> Iterator[TensorDictBase]:
     """Runs the env from a fresh reset, without exploration, and yields what follows each step."""
     act = hold_pose(env) if actor is None else actor
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+    exploring = set_exploration_type(ExplorationType.DETERMINISTIC)
+    with torch.no_grad(), physics_first(), exploring:
         td = env.reset()
         for _ in range(steps):
             td = torch.cat([act(block) for block in td.split(BLOCK)])

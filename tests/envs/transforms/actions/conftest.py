@@ -7,6 +7,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import Transform
 
+from zfall.envs.humanoid import HumanoidEnv
+
 
 @pytest.fixture
 def send() -> Callable[[Transform, torch.Tensor], torch.Tensor]:
@@ -20,3 +22,14 @@ def send() -> Callable[[Transform, torch.Tensor], torch.Tensor]:
         return torch.cat(out, 1)
 
     return run
+
+
+@pytest.fixture
+def at_rest() -> Callable[[HumanoidEnv], TensorDict]:
+    """What a reset into the standing pose writes, as far as transforms of commands read it."""
+
+    def write(base: HumanoidEnv) -> TensorDict:
+        num = base.num_envs
+        return TensorDict({"joint_position": base.stand_position.expand(num, -1)}, [num])
+
+    return write

@@ -39,7 +39,7 @@ def test_all_of_them_in_a_row_hold_their_specs(make_task, first):
 
 @pytest.mark.parametrize(("cls", "values"), LOW_LEVEL)
 def test_partial_reset_equals_a_full_one_on_its_rows_and_none_on_the_others(
-    make_base, send, cls, values
+    make_base, send, cls, values, at_rest
 ):
     base = make_base()
     before, after = base.stand_position + 0.3 * torch.randn(2, 4, 40, 20)
@@ -51,11 +51,11 @@ def test_partial_reset_equals_a_full_one_on_its_rows_and_none_on_the_others(
         "none": None,
     }.items():
         transform = cls(base, **values)
-        transform._reset(TensorDict(batch_size=[4]), TensorDict(batch_size=[4]))
+        transform._reset(TensorDict(batch_size=[4]), at_rest(base))
         send(transform, before)
         if reset is not None:
             td = TensorDict({"_reset": reset}, [4])
-            transform._reset(td, TensorDict(batch_size=[4]))
+            transform._reset(td, at_rest(base))
         results[name] = send(transform, after)
     expected = torch.where(rows[..., None], results["full"], results["none"])
     assert_close(results["part"], expected, atol=0, rtol=0)
@@ -63,22 +63,22 @@ def test_partial_reset_equals_a_full_one_on_its_rows_and_none_on_the_others(
 
 
 @pytest.mark.parametrize(("cls", "values"), LOW_LEVEL)
-def test_saved_state_goes_on_in_the_same_way(make_base, send, cls, values):
+def test_saved_state_goes_on_in_the_same_way(make_base, send, cls, values, at_rest):
     base = make_base()
     before, after = base.stand_position + 0.3 * torch.randn(2, 4, 40, 20)
     one, other = cls(base, **values), cls(base, **values)
-    one._reset(TensorDict(batch_size=[4]), TensorDict(batch_size=[4]))
+    one._reset(TensorDict(batch_size=[4]), at_rest(base))
     send(one, before)
     other.load_state_dict(one.state_dict())
     assert torch.equal(send(one, after), send(other, after))
 
 
 @pytest.mark.parametrize(("cls", "values"), LOW_LEVEL)
-def test_target_is_held_where_no_command_was_written(make_base, cls, values):
+def test_target_is_held_where_no_command_was_written(make_base, cls, values, at_rest):
     base = make_base()
     one, other = cls(base, **values), cls(base, **values)
     for transform in (one, other):
-        transform._reset(TensorDict(batch_size=[4]), TensorDict(batch_size=[4]))
+        transform._reset(TensorDict(batch_size=[4]), at_rest(base))
     for _ in range(3):
         target = base.stand_position + torch.randn(4, 20)
         held = one._inv_call(TensorDict({"target": target}, [4]))

@@ -41,12 +41,26 @@ def test_delay_is_exact_to_one_physics_step_over_its_range(make_task, control_dt
         assert_close(got[world, :world], torch.zeros(world))  # the reference, before the first
 
 
+def test_servos_hold_the_joints_where_they_start_until_the_first_command_arrives(
+    make_base, at_rest
+):
+    base = make_base(num_envs=2)
+    transform = ActuatorDelay(base, delay=(0.012, 0.012))  # 3 of the 10 physics steps
+    start = at_rest(base)
+    start["joint_position"] = start["joint_position"] + torch.tensor([[0.1], [-0.1]])
+    transform._reset(TensorDict(batch_size=[2]), start)
+    command = TensorDict({"target": torch.full((2, 20), 0.7)}, [2])
+    got = transform._inv_call(command)["control"]
+    assert_close(got[:, :3], start["joint_position"][:, None].expand(-1, 3, -1))
+    assert_close(got[:, 3:], torch.full((2, 7, 20), 0.7))
+
+
 @pytest.mark.parametrize("joints", ["shared", "own"])
 @pytest.mark.parametrize("per", ["episode", "step"])
-def test_commands_are_those_of_a_queue_for_every_joint(make_base, per, joints):
+def test_commands_are_those_of_a_queue_for_every_joint(make_base, per, joints, at_rest):
     base = make_base(num_envs=3)
     transform = ActuatorDelay(base, delay=(0.0, 0.06), per=per, joints=joints)
-    transform._reset(TensorDict(batch_size=[3]), TensorDict(batch_size=[3]))
+    transform._reset(TensorDict(batch_size=[3]), at_rest(base))
     sent, lags = [], []
     for step in range(8):
         commands = torch.randn(3, 10, 20)
@@ -79,17 +93,18 @@ def test_delay_is_drawn_per_world_and_episode_over_its_whole_range(make_task):
     assert not torch.equal(first, lag)
 
 
-def test_partial_reset_draws_new_delays_for_its_rows_alone(make_base):
-    transform = ActuatorDelay(make_base(num_envs=64), delay=(0.0, 0.1))
-    transform._reset(TensorDict(batch_size=[64]), TensorDict(batch_size=[64]))
+def test_partial_reset_draws_new_delays_for_its_rows_alone(make_base, at_rest):
+    base = make_base(num_envs=64)
+    transform = ActuatorDelay(base, delay=(0.0, 0.1))
+    transform._reset(TensorDict(batch_size=[64]), at_rest(base))
     before = transform.lag.clone()
     rows = torch.arange(64)[:, None] < 32
-    transform._reset(TensorDict({"_reset": rows}, [64]), TensorDict(batch_size=[64]))
+    transform._reset(TensorDict({"_reset": rows}, [64]), at_rest(base))
     assert torch.equal(transform.lag[32:], before[32:])
     assert (transform.lag[:32] != before[:32]).sum() > 20
 
 
-def test_delay_and_filter_may_stand_in_any_order(make_base, send):
+def test_delay_and_filter_may_stand_in_any_order(make_base, send, at_rest):
     """Both are linear and do not change with time, so that they commute."""
     base = make_base()
     commands = base.stand_position + torch.randn(4, 60, 20)
@@ -98,7 +113,7 @@ def test_delay_and_filter_may_stand_in_any_order(make_base, send):
         chain = [ActuatorDelay(base, delay=(0.028, 0.028)), LowPass(base, time_constant=0.03)]
         out = commands
         for transform in chain if order else reversed(chain):
-            transform._reset(TensorDict(batch_size=[4]), TensorDict(batch_size=[4]))
+            transform._reset(TensorDict(batch_size=[4]), at_rest(base))
             out = send(transform, out)
         results.append(out)
     assert_close(results[0], results[1], atol=1e-5, rtol=0)
@@ -110,8 +125,9 @@ def test_delay_outside_the_buffer_is_refused(make_base, delay):
         ActuatorDelay(make_base(), delay=delay, max_delay=0.1)
 
 
-def test_delay_set_beyond_the_buffer_later_is_refused(make_base):
-    transform = ActuatorDelay(make_base(), delay=(0.0, 0.0), max_delay=0.02)
+def test_delay_set_beyond_the_buffer_later_is_refused(make_base, at_rest):
+    base = make_base()
+    transform = ActuatorDelay(base, delay=(0.0, 0.0), max_delay=0.02)
     transform.delay = (0.03, 0.03)
     with pytest.raises(ValueError, match=r"delay must stay within \[0, max_delay\], got \[0.03"):
-        transform._reset(TensorDict(batch_size=[4]), TensorDict(batch_size=[4]))
+        transform._reset(TensorDict(batch_size=[4]), at_rest(base))

@@ -13,7 +13,8 @@ ELBOW, SHOULDER = 14, 12  # left
 def drive(transform, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Targets ``(N, K, J)`` and commands ``(N, K S, J)`` of actions ``(N, K, J)``."""
     num = len(actions)
-    transform._reset(TensorDict(batch_size=[num]), TensorDict(batch_size=[num]))
+    start = TensorDict({"joint_position": transform.position}, [num])  # the standing pose
+    transform._reset(TensorDict(batch_size=[num]), start)
     steps = [transform._inv_call(TensorDict({"action": a}, [num])) for a in actions.unbind(1)]
     return torch.stack([s["target"] for s in steps], 1), torch.cat([s["control"] for s in steps], 1)
 
@@ -76,10 +77,11 @@ def test_action_is_clamped_to_one(make_base):
 
 
 def test_limit_of_each_world_acts_there(make_base):
-    transform = JointVelocityTarget(make_base(num_envs=2), limit=1.0)
+    base = make_base(num_envs=2)
+    transform = JointVelocityTarget(base, limit=1.0)
     transform.limit = torch.tensor([1.0, 2.0])
     target, _ = drive(transform, torch.full((2, 1, 20), 0.5))
-    way = target[:, 0] - transform.reference
+    way = target[:, 0] - base.stand_position
     assert_close(way[:, SHOULDER], torch.tensor([0.02, 0.04]))
 
 
@@ -104,7 +106,16 @@ def test_servo_follows_a_moving_target_without_the_lag_of_its_damping(make_base)
     assert abs(behind[True]) < 0.025  # what friction, 0.2 of 22.7 N m/rad, and the sampling leave
 
 
-def test_partial_reset_puts_only_its_rows_to_the_reference(make_task):
+def test_target_starts_where_the_joints_are_within_their_ranges(make_base):
+    base = make_base(num_envs=2)
+    transform = JointVelocityTarget(base, limit=1.0)
+    at = torch.stack([base.stand_position + 0.1, base.joint_range[:, 1] + 0.1])
+    td = transform._reset(TensorDict(batch_size=[2]), TensorDict({"joint_position": at}, [2]))
+    assert_close(td["target"][0], at[0].minimum(base.joint_range[:, 1]))
+    assert_close(td["target"][1], base.joint_range[:, 1])
+
+
+def test_partial_reset_puts_only_its_rows_to_the_start(make_task):
     env = make_task({"action": (JointVelocityTarget, {"limit": 1.0})}, num_envs=2)
     td = env.reset()
     td["action"] = torch.full((2, 20), 0.5)

@@ -21,7 +21,8 @@ class ActuatorDelay(Transform):
     miss some.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
-    ``(N, J)``; writes ``control``.
+    ``(N, J)``; writes ``control``. Until the first command arrives the servos hold the joints where
+    the reset put them.
 
     Args:
         env: the base env.
@@ -38,7 +39,6 @@ class ActuatorDelay(Transform):
     lag: Tensor
     substep: Tensor
     first: Tensor
-    reference: Tensor
 
     def __init__(
         self,
@@ -58,7 +58,6 @@ class ActuatorDelay(Transform):
         self.delay, self.per, self.joints, self.substeps = delay, per, joints, env.substeps
         num, length = env.num_envs, self._lags.longest + env.substeps
         shape = (num,) if joints == "shared" else (num, len(env.stand_position))
-        self.register_buffer("reference", env.stand_position)
         # The last commands at the rate of the physics, newest last, and the delay in its steps.
         self.register_buffer("history", env.stand_position.repeat(num, length, 1))
         self.register_buffer("lag", torch.zeros(shape, dtype=torch.long))
@@ -85,5 +84,5 @@ class ActuatorDelay(Transform):
         if self.per == "episode":
             lag = self._lags.draw(self.delay, self.lag.shape)
             self.lag = torch.where(rows.view(-1, *[1] * (lag.ndim - 1)), lag, self.lag)
-        self.history[rows] = self.reference
+        self.history[rows] = tensordict_reset["joint_position"][rows, None]
         return tensordict_reset

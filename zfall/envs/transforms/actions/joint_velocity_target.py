@@ -29,7 +29,7 @@ class JointVelocityTarget(Transform):
 
     Keys: reads ``action`` ``(N, J)``; writes ``target`` ``(N, J)`` [rad], where q is at the end
     of the step, also as an observation, and ``control`` ``(N, S, J)`` [rad]. After a reset the
-    target is the standing reference.
+    target is where the joints are, within their ranges.
 
     Args:
         env: the base env.
@@ -47,7 +47,6 @@ class JointVelocityTarget(Transform):
     position command, as these servos take nothing else.
     """
 
-    reference: Tensor
     range: Tensor
     time_constant: Tensor
     time: Tensor
@@ -69,7 +68,6 @@ class JointVelocityTarget(Transform):
         self.limit = limit
         self.hold = fitting[0] if fitting else 1  # physics steps of a tick
         self.tick = self.hold * env.physics_dt
-        self.register_buffer("reference", env.stand_position)
         self.register_buffer("range", env.joint_range)
         self.register_buffer("time_constant", env.servo_time_constant)
         ticks = env.substeps // self.hold
@@ -97,7 +95,8 @@ class JointVelocityTarget(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.position = torch.where(rows[:, None], self.reference, self.position)
+        start = tensordict_reset["joint_position"].clamp(*self.range.unbind(-1))
+        self.position = torch.where(rows[:, None], start, self.position)
         return tensordict_reset.set("target", self.position.clone())
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
