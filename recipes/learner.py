@@ -1,9 +1,10 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
+import inspect
 from typing import Any
 
 import torch
-from hydra.utils import instantiate
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
@@ -12,9 +13,11 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
+from torchrl.objectives import LossModule
 from torchrl.objectives.value import GAE
 
 from zfall.envs.threads import physics_first
+from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.evaluation.battery import load_battery
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.ppo import PenalizedPPOLoss
@@ -75,11 +78,14 @@ class Learner:
             value_clip=loss.value_clip,
             value_error_clip=loss.value_error_clip,
         )
+        self.auxiliary = [self._auxiliary(loss) for loss in (cfg.auxiliary_losses or {}).values()]
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
         inputs = ["observation", "observation_critic", "is_init", *hidden]
         self._learned = [*inputs, "action", "action_log_prob"]
+        wanted = [key for loss in self.auxiliary for key in loss.in_keys]
+        self._learned += [key for key in dict.fromkeys(wanted) if key not in self._learned]
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
         flags += ["episode_reward", "step_count", "diverged"]
         after = [("next", key) for key in [*inputs, *flags]]
@@ -87,6 +93,14 @@ class Learner:
         self._recurrent = bool(hidden)
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
+
+    def _auxiliary(self, loss: DictConfig) -> LossModule:
+        """A loss beside PPO's, called with the actor, and ``spans`` if it asks for them."""
+        known: dict[str, Any] = {}
+        if "spans" in inspect.signature(get_object(loss["_target_"])).parameters:
+            vectors = [t for t in self.env.transform if t.out_keys == ["observation"]]
+            known["spans"] = vector_spans(self.env.observation_spec, vectors[-1].keys)
+        return instantiate(loss, self.actor, **known)
 
     @property
     def policy(self) -> torch.nn.Module:
@@ -121,7 +135,10 @@ class Learner:
         for _ in range(cfg.epochs):
             outputs = []
             for rows in torch.randperm(len(data)).split(size):
-                out = self.loss(data[rows])
+                part = data[rows]
+                out = self.loss(part)
+                for auxiliary in self.auxiliary:
+                    out.update(auxiliary(part))
                 total = sum(value for key, value in out.items() if key.startswith("loss_"))
                 total.backward()
                 clip_grad_norm_(self.parameters, cfg.max_grad_norm)

@@ -64,3 +64,22 @@ def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_
     body = base.push_targets["torso"]
     assert all((wrench[:, :, body, 0] > 1.99).all() for wrench in seen)
     sys.modules.pop("wind")
+
+
+def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_config):
+    """The example of learning.md: with a large weight it keeps the actions small."""
+    (module,) = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL
+    )
+    (tmp_path / "my_losses.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    sizes = []
+    for coeff in (0.0, 10.0):
+        loss = f"+auxiliary_losses.size={{_target_:my_losses.SmallActions,coeff:{coeff}}}"
+        learner = Learner(compose_config(loss, "num_envs=8", "rollout_steps=8"))
+        losses = [learner.learn(learner.collect()) for _ in range(4)][-1]
+        assert "loss_size" in losses
+        mean = learner.actor.get_dist(learner.collect()).mean
+        sizes.append(mean.square().mean().item())
+    sys.modules.pop("my_losses")
+    assert sizes[1] < 0.7 * sizes[0]

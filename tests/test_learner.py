@@ -201,3 +201,24 @@ def test_policy_is_the_running_average_of_the_actor(compose_config):
         not torch.equal(a, b)
         for a, b in zip(learner.policy.parameters(), learner.actor.parameters(), strict=True)
     )
+
+
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, actor):
+    """How much the action without exploration changes from step to step, after some updates."""
+    rough = {}
+    for weight in (0.0, 3.0):
+        caps = [f"auxiliary_losses.caps.{term}_coeff={weight}" for term in ("temporal", "spatial")]
+        learner = Learner(
+            compose_config(
+                "num_envs=16", "rollout_steps=16", f"actor={actor}", "caps=atalante", *caps
+            )
+        )
+        for _ in range(4):
+            losses = learner.learn(learner.collect())
+        assert set(losses) >= {"loss_temporal", "loss_spatial"}
+        caps_loss = learner.auxiliary[0]
+        caps_loss.temporal_coeff = caps_loss.spatial_coeff = 1.0
+        rough[weight] = caps_loss(learner.collect())
+    for term in ("loss_temporal", "loss_spatial"):
+        assert rough[3.0][term] < 0.7 * rough[0.0][term]

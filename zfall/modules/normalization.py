@@ -29,8 +29,13 @@ class ObservationNormalizer(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         """Normalised observation, shape ``(*B, D)`` kept."""
-        scaled = (observation - self.mean) / (self.variance + 1e-6).sqrt()
+        scaled = (observation - self.mean) / self.scale
         return scaled.clamp(-self.clip, self.clip)
+
+    @property
+    def scale(self) -> Tensor:
+        """Standard deviation so far ``(D,)``, what a normalised value of 1 stands for."""
+        return (self.variance + 1e-6).sqrt()
 
     @torch.no_grad()
     def update(self, observation: Tensor) -> None:

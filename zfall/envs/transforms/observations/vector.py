@@ -59,3 +59,13 @@ def vector_size(spec: Composite, keys: Sequence[NestedKey]) -> int:
 
 def _read_true(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
     return tensordict[key].float()
+
+
+def vector_spans(spec: Composite, keys: Sequence[NestedKey]) -> dict[str, slice]:
+    """Where each quantity lies in their vector; a nested key as ``outer/inner``."""
+    spans, begin = {}, 0
+    for key in keys:
+        end = begin + spec[key].shape[1:].numel()
+        spans[key if isinstance(key, str) else "/".join(key)] = slice(begin, end)
+        begin = end
+    return spans

@@ -1,0 +1,182 @@
+"""Smoothness losses against closed forms of linear policies, and step by step with a memory."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torch.testing import assert_close
+from torchrl.data import Composite, Unbounded
+from torchrl.modules import IndependentNormal, ProbabilisticActor
+
+from zfall.losses.caps import CAPSLoss
+from zfall.modules.actors import gru_actor, mlp_actor
+
+OBSERVED, JOINTS = 5, 3
+
+
+class Linear(nn.Module):
+    """Mean ``W o``, a standard deviation of its own."""
+
+    def __init__(self, std: float):
+        super().__init__()
+        self.weight = nn.Parameter(torch.randn(JOINTS, OBSERVED))
+        self.log_std = nn.Parameter(torch.full((JOINTS,), math.log(std)))
+
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        loc = observation @ self.weight.T
+        return loc, self.log_std.exp().expand_as(loc)
+
+
+def linear_actor(std: float = 0.5) -> tuple[Linear, ProbabilisticActor]:
+    net = Linear(std)
+    module = TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"])
+    actor = ProbabilisticActor(
+        module, in_keys=["loc", "scale"], distribution_class=IndependentNormal
+    )
+    return net, actor
+
+
+def transitions(rows: int) -> TensorDict:
+    return TensorDict(
+        {
+            "observation": torch.randn(rows, OBSERVED),
+            "next": {"observation": torch.randn(rows, OBSERVED)},
+        },
+        [rows],
+    )
+
+
+def test_temporal_term_is_the_norm_of_the_change_of_a_linear_policy():
+    net, actor = linear_actor()
+    batch = transitions(50)
+    change = (
+        batch["observation"] - batch["next", "observation"]
+    ).numpy() @ net.weight.T.detach().numpy()
+    expected = {
+        "l1": abs(change).sum(-1).mean(),
+        "l2": ((change**2).sum(-1) ** 0.5).mean(),
+        "squared_l2": (change**2).sum(-1).mean(),
+    }
+    for norm, value in expected.items():
+        loss = CAPSLoss(actor, temporal_coeff=0.3, temporal_norm=norm)(batch)["loss_temporal"]
+        assert loss.item() == pytest.approx(0.3 * value, rel=1e-5)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_spatial_term_is_the_spread_that_a_linear_policy_makes_of_the_noise(named):
+    """``E |W e|^2`` is the sum over columns of ``sigma_i^2 |W_i|^2``."""
+    net, actor = linear_actor()
+    spans = {"gyro": slice(0, 3), "joints": slice(3, 5)}
+    sigma = {"joints": 0.4} if named else 0.4
+    loss = CAPSLoss(actor, spans, spatial_coeff=2.0, sigma=sigma)(transitions(100_000))
+    columns = net.weight.square().sum(0)
+    expected = 2.0 * 0.16 * (columns[3:] if named else columns).sum().item()
+    assert loss["loss_spatial"].item() == pytest.approx(expected, rel=0.02)
+
+
+def test_sigma_is_in_deviations_of_the_observation():
+    spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+    actor = mlp_actor(spec, Unbounded((1, JOINTS)), num_cells=[8], activation="tanh")
+    loss = CAPSLoss(actor, sigma=0.1)
+    loss.normalizer.update(
+        torch.tensor([1.0, 10.0, 0.1, 5.0, 2.0]) * torch.randn(100_000, OBSERVED)
+    )
+    noise = loss._neighbour(torch.zeros(100_000, OBSERVED))
+    expected = torch.tensor([0.1, 1.0, 0.01, 0.5, 0.2])
+    assert_close(noise.std(0), expected, rtol=0.03, atol=0)
+
+
+def test_on_the_mean_it_leaves_the_deviation_alone_and_on_actions_not():
+    """``E |W d + s (e - e')|^2 = |W d|^2 + 2 J s^2``."""
+    net, actor = linear_actor(std=0.7)
+    options = {"temporal_norm": "squared_l2", "temporal_coeff": 1.0, "spatial_coeff": 1.0}
+    batch = transitions(200_000)
+    on_mean = CAPSLoss(actor, **options)(batch)
+    gradient = torch.autograd.grad(sum(on_mean.values()), net.log_std, allow_unused=True)[0]
+    assert gradient is None or torch.equal(gradient, torch.zeros(JOINTS))
+    on_action = CAPSLoss(actor, on_actions=True, **options)(batch)
+    more = on_action["loss_temporal"] - on_mean["loss_temporal"]
+    assert more.item() == pytest.approx(2 * JOINTS * 0.49, rel=0.05)
+    gradient = torch.autograd.grad(on_action["loss_temporal"], net.log_std)[0]
+    assert_close(gradient, torch.full((JOINTS,), 4 * 0.49), rtol=0.1, atol=0)
+
+
+def sequences(actor: ProbabilisticActor, num: int, steps: int) -> TensorDict:
+    """What a recurrent policy collects, with resets in between."""
+    hidden = torch.zeros(num, 2, 8)
+    rows, init = [], torch.ones(num, 1, dtype=torch.bool)
+    for _ in range(steps):
+        td = TensorDict({"observation": torch.randn(num, OBSERVED), "is_init": init}, [num])
+        td["recurrent_state_actor"] = torch.where(init[:, None], 0.0, hidden)
+        with torch.no_grad():
+            after = actor(td.clone())
+        td["mean"] = actor.get_dist(td.clone()).mean.detach()
+        hidden, init = after["next", "recurrent_state_actor"], torch.rand(num, 1) < 0.3
+        rows.append(td)
+    return torch.stack(rows, 1)
+
+
+@pytest.fixture
+def recurrent() -> tuple[ProbabilisticActor, TensorDict]:
+    spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+    actor = gru_actor(spec, Unbounded((1, JOINTS)), hidden_size=8, num_layers=2, components=2)
+    for parameter in actor.parameters():
+        nn.init.normal_(parameter, std=0.5)
+    return actor, sequences(actor, 6, 12)
+
+
+def test_pairs_of_a_recurrent_policy_follow_the_sequence_but_not_across_episodes(recurrent):
+    actor, batch = recurrent
+    loss = CAPSLoss(actor, temporal_coeff=1.0)(batch.exclude("mean"))
+    changes = [
+        (batch["mean"][n, t + 1] - batch["mean"][n, t]).abs().sum()
+        for n in range(6) for t in range(11) if not batch["is_init"][n, t + 1]
+    ]  # fmt: skip
+    assert 20 < len(changes) < 60
+    assert_close(loss["loss_temporal"], torch.stack(changes).mean(), rtol=1e-4, atol=0)
+
+
+def test_both_of_a_spatial_pair_of_a_recurrent_policy_have_the_same_memory(recurrent, monkeypatch):
+    actor, batch = recurrent
+    caps = CAPSLoss(actor, spatial_coeff=1.0)
+    monkeypatch.setattr(caps, "_neighbour", lambda observation: observation + 0.3)
+    loss = caps(batch.exclude("mean"))["loss_spatial"]
+    moved = []
+    for n in range(6):
+        for t in range(12):
+            step = batch[n : n + 1, t].exclude("mean").clone()
+            step["observation"] = step["observation"] + 0.3
+            moved.append((actor.get_dist(step).mean[0] - batch["mean"][n, t]).square().sum())
+    assert_close(loss, torch.stack(moved).mean(), rtol=1e-4, atol=0)
+
+
+def test_a_smooth_policy_costs_nothing_and_has_a_finite_gradient():
+    net, actor = linear_actor()
+    nn.init.zeros_(net.weight)
+    for norm in ("l1", "l2", "squared_l2"):
+        loss = CAPSLoss(actor, temporal_norm=norm, spatial_norm=norm)(transitions(10))
+        assert sum(loss.values()).item() < 1e-5
+        gradient = torch.autograd.grad(sum(loss.values()), net.weight)[0]
+        assert gradient.isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("values", "rule"),
+    [
+        ({"temporal_coeff": -1.0}, r"temporal_coeff must not be negative, got -1.0"),
+        ({"sigma": -0.1}, r"sigma must not be negative, got -0.1"),
+        ({"sigma": {"nose": 0.1}}, r"sigma must name quantities of the observation \(gyro\)"),
+        ({"spatial_norm": "l3"}, r"spatial_norm must be one of l1, l2, squared_l2, got 'l3'"),
+    ],
+)
+def test_bad_values_are_refused(values, rule):
+    with pytest.raises(ValueError, match=rule):
+        CAPSLoss(linear_actor()[1], {"gyro": slice(0, 3)}, **values)
+
+
+def test_actions_of_a_mixture_are_refused(recurrent):
+    with pytest.raises(ValueError, match="on_actions must be false for a mixture"):
+        CAPSLoss(recurrent[0], on_actions=True)

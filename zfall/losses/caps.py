@@ -1,0 +1,154 @@
+"""Smoothness of a policy: conditioning for action policy smoothness (CAPS)."""
+
+from collections.abc import Mapping
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.modules import ProbabilisticActor, set_recurrent_mode
+from torchrl.objectives import LossModule
+
+from zfall.modules.actors import normalizer_of, recurrent_keys
+
+NORMS = {
+    "l1": lambda x: x.abs().sum(-1),
+    "l2": lambda x: x.square().sum(-1).clamp_min(1e-12).sqrt(),  # of a finite slope at 0
+    "squared_l2": lambda x: x.square().sum(-1),
+}
+
+
+class CAPSLoss(LossModule):
+    """Penalises actions that change from step to step, or with a small change of what is seen.
+
+    With mu the action without exploration (the statistic the policy is run with), in units of
+    the action, and sigma in units of the normalised observation::
+
+        loss_temporal = temporal_coeff * mean_t |mu(o_t) - mu(o_t+1)|
+        loss_spatial  = spatial_coeff * mean_t |mu(o_t) - mu(o_t + e)|,   e ~ N(0, sigma^2)
+
+    The gradient with respect to the policy's standard deviation is zero, unless ``on_actions``.
+
+    Of a policy without memory the pairs are an observation and its successor, which at an
+    episode's end is the last one of that episode. Of a recurrent one a batch holds sequences:
+    the temporal pair follows them with the memory that they build up, and pairs across an
+    episode's end are left out; both of the spatial pair start from the memory stored with the
+    step.
+
+    Keys: reads the actor's ``in_keys``, ``(B, ...)``, and ``("next", "observation")`` of a policy
+    without memory; ``(N, T, ...)`` of a recurrent one. Writes ``loss_temporal`` and
+    ``loss_spatial`` ``()``.
+
+    Args:
+        actor_network: the policy.
+        spans: where each quantity lies in the observation, by name; for a ``sigma`` by name.
+        temporal_coeff, spatial_coeff: weights; 0 leaves a term out.
+        sigma: standard deviation of the spatial change, in standard deviations of the observation
+            (those of the policy's normaliser, or 1); or of each quantity by its name, which
+            leaves those that are not named as they are.
+        temporal_norm, spatial_norm: ``l1``, ``l2`` or ``squared_l2``.
+        on_actions: whether mu is a draw from the policy instead.
+
+    Raises:
+        ValueError: on a negative value, an unknown norm or name, or actions of a policy that has
+            no reparameterised draw.
+
+    Source: Mysore et al., "Regularizing action policies for smooth control with reinforcement
+    learning", ICRA 2021 (actions, L2); Duburcq et al., "Reactive stepping for humanoid robots
+    using reinforcement learning", IROS 2022, section IV-E (mean, L1 in time and squared L2 in
+    space), whose weights and sigma are not published.
+    """
+
+    actor_network: ProbabilisticActor
+    out_keys = ["loss_temporal", "loss_spatial"]
+
+    def __init__(
+        self,
+        actor_network: ProbabilisticActor,
+        spans: Mapping[str, slice] | None = None,
+        *,
+        temporal_coeff: float = 0.1,
+        spatial_coeff: float = 0.1,
+        sigma: float | Mapping[str, float] = 0.2,
+        temporal_norm: str = "l1",
+        spatial_norm: str = "squared_l2",
+        on_actions: bool = False,
+    ):
+        super().__init__()
+        values = sigma.values() if isinstance(sigma, Mapping) else [sigma]
+        weights = {"temporal_coeff": temporal_coeff, "spatial_coeff": spatial_coeff}
+        for name, value in [*weights.items(), *(("sigma", value) for value in values)]:
+            if value < 0:
+                raise ValueError(f"{name} must not be negative, got {value}.")
+        for name, norm in (("temporal_norm", temporal_norm), ("spatial_norm", spatial_norm)):
+            if norm not in NORMS:
+                raise ValueError(f"{name} must be one of {', '.join(NORMS)}, got {norm!r}.")
+        if on_actions and not actor_network[-1].distribution_class.has_rsample:
+            raise ValueError(
+                "on_actions must be false for a mixture, whose draws have no gradient; got true."
+            )
+        self.actor_network, self.on_actions = actor_network, on_actions
+        self.temporal_coeff, self.spatial_coeff = temporal_coeff, spatial_coeff
+        self.temporal_norm, self.spatial_norm = NORMS[temporal_norm], NORMS[spatial_norm]
+        self.recurrent = bool(recurrent_keys(actor_network))
+        self.in_keys = list(actor_network.in_keys)
+        if not self.recurrent:
+            self.in_keys.append(("next", "observation"))
+        self.normalizer = normalizer_of(actor_network)
+        self.sigma = _spread(sigma, spans or {})
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Both losses of a batch."""
+        change = self._recurrent if self.recurrent else self._feed_forward
+        temporal, spatial = change(tensordict)
+        return TensorDict(
+            {
+                "loss_temporal": self.temporal_coeff * temporal,
+                "loss_spatial": self.spatial_coeff * spatial,
+            }
+        )
+
+    def _feed_forward(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        here, after = batch["observation"], batch["next", "observation"]
+        together = torch.stack([here, after, self._neighbour(here)])
+        mu = self._act(TensorDict({"observation": together}, together.shape[:2]))
+        temporal = self.temporal_norm(mu[0] - mu[1]).mean()
+        return temporal, self.spatial_norm(mu[0] - mu[2]).mean()
+
+    def _recurrent(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        batch = batch.select(*self.actor_network.in_keys)
+        with set_recurrent_mode(True):
+            mu = self._act(batch)
+        follows = ~batch["is_init"][:, 1:, 0]
+        change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
+        steps = batch.reshape(-1)
+        near = steps.copy().set("observation", self._neighbour(steps["observation"]))
+        pair = torch.stack([steps, near])
+        with set_recurrent_mode(False):
+            mu = self._act(pair.reshape(-1)).unflatten(0, (2, -1))
+        spatial = self.spatial_norm(mu[0] - mu[1]).mean()
+        return change.sum() / follows.sum().clamp_min(1), spatial
+
+    def _act(self, batch: TensorDictBase) -> Tensor:
+        distribution = self.actor_network.get_dist(batch)
+        if self.on_actions:
+            return distribution.rsample()
+        return distribution.deterministic_sample
+
+    def _neighbour(self, observation: Tensor) -> Tensor:
+        noise = torch.randn_like(observation) * self.sigma
+        return observation + (noise if self.normalizer is None else noise * self.normalizer.scale)
+
+
+def _spread(sigma: float | Mapping[str, float], spans: Mapping[str, slice]) -> Tensor:
+    """Standard deviation of each component of the observation ``(D,)``, or one for all ``()``."""
+    if not isinstance(sigma, Mapping):
+        return torch.tensor(float(sigma))
+    unknown = [name for name in sigma if name not in spans]
+    if unknown:
+        raise ValueError(
+            f"sigma must name quantities of the observation ({', '.join(spans)}), got {unknown[0]}."
+        )
+    spread = torch.zeros(max(span.stop for span in spans.values()))
+    for name, value in sigma.items():
+        spread[spans[name]] = value
+    return spread
