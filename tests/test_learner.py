@@ -9,7 +9,8 @@ from torchrl.modules import set_recurrent_mode
 from recipes.learner import Learner
 from zfall.modules.actors import normalizer_of
 
-NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru"]
+NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
+            "mlp_shared_mog mlp", "gru_shared_mog mlp"]  # fmt: skip
 
 
 @pytest.fixture(params=NETWORKS)

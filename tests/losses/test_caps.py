@@ -177,6 +177,8 @@ def test_bad_values_are_refused(values, rule):
         CAPSLoss(linear_actor()[1], {"gyro": slice(0, 3)}, **values)
 
 
-def test_actions_of_a_mixture_are_refused(recurrent):
-    with pytest.raises(ValueError, match="on_actions must be false for a mixture"):
-        CAPSLoss(recurrent[0], on_actions=True)
+def test_actions_of_a_mixture_of_shared_components_are_refused():
+    spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+    actor = mlp_actor(spec, Unbounded((1, JOINTS)), components=2, shared_components=True)
+    with pytest.raises(ValueError, match="on_actions must be false for a mixture of shared"):
+        CAPSLoss(actor, on_actions=True)

@@ -1,74 +1,189 @@
-"""The mixture against torch's and SciPy's."""
+"""The mixtures against torch's, SciPy's, brute force and closed forms."""
 
-import numpy as np
+import math
+
 import pytest
 import torch
-from scipy.integrate import quad
 from scipy.stats import norm
-from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
+from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal, kl_divergence
 from torch.testing import assert_close
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import ExplorationType, set_exploration_type
 
+from zfall.modules.actors import mlp_actor
 from zfall.modules.mixture import MixtureOfGaussians
+
+Parameters = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def draw(*shape: int) -> Parameters:
+    """Logits, means and deviations: wide and narrow, far apart and on top of each other."""
+    scale = 10 ** torch.empty(shape, dtype=torch.float64).uniform_(-2, 0)  # 0.01 to 1
+    loc = torch.randn(shape, dtype=torch.float64)
+    near = torch.rand(*shape[:-1], 1) < 0.3
+    loc = torch.where(near, loc[..., :1] + 0.01 * loc, loc)
+    return 2 * torch.randn(shape, dtype=torch.float64), loc, scale
 
 
 @pytest.fixture
-def parameters() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    shape = (50, 4, 3)
-    scale = torch.empty(shape, dtype=torch.float64).uniform_(0.01, 1.0)
-    return torch.randn(shape, dtype=torch.float64), torch.randn(shape, dtype=torch.float64), scale
+def parameters() -> Parameters:
+    return draw(50, 4, 3)
 
 
-def reference(logits, loc, scale) -> Independent:
-    return Independent(MixtureSameFamily(Categorical(logits=logits), Normal(loc, scale)), 1)
+def reference(logits, loc, scale) -> MixtureSameFamily:
+    """Of each joint."""
+    return MixtureSameFamily(Categorical(logits=logits), Normal(loc, scale))
 
 
-def test_log_prob_mean_and_variance_agree_with_torch(parameters):
+def brute_force(parameters: Parameters, others: Parameters | None = None):
+    """Density, log ratio (or log density) and step of a grid far finer than any component."""
+    logits, loc, scale = parameters
+    low, high = (loc - 9 * scale).amin(-1), (loc + 9 * scale).amax(-1)
+    grid = low + (high - low) * torch.linspace(0, 1, 8_001, dtype=torch.float64)[:, None]
+    density = torch.zeros_like(grid)
+    for k in range(loc.shape[-1]):
+        weight = logits.softmax(-1)[..., k]
+        z = (grid - loc[..., k]) / scale[..., k]
+        density += weight * torch.exp(-0.5 * z * z) / (scale[..., k] * math.sqrt(2 * math.pi))
+    log = density.clamp_min(1e-300).log()
+    if others is not None:
+        log = log - reference(*others).log_prob(grid)
+    return grid, density, log, (high - low) / 8_000
+
+
+def test_density_distribution_mean_and_variance_are_those_of_torch(parameters):
     ours, theirs = MixtureOfGaussians(*parameters), reference(*parameters)
     value = torch.randn(50, 4, dtype=torch.float64)
-    assert_close(ours.log_prob(value), theirs.log_prob(value), atol=1e-6, rtol=1e-9)
+    joint = Independent(theirs, 1)
+    assert_close(ours.log_prob(value), joint.log_prob(value), atol=1e-6, rtol=1e-9)
+    assert_close(ours.cdf(value), theirs.cdf(value), atol=1e-12, rtol=1e-9)
     assert_close(ours.mean, theirs.mean)
     assert_close(ours.variance, theirs.variance)
 
 
-def test_samples_have_the_mean_and_variance(parameters):
+def test_density_and_distribution_are_those_of_scipy(parameters):
+    weight, loc, scale = (p.numpy() for p in (parameters[0].softmax(-1), *parameters[1:]))
+    value = torch.randn(50, 4, dtype=torch.float64)
+    at = value.numpy()[..., None]
+    ours = MixtureOfGaussians(*parameters)
+    density = (weight * norm.pdf(at, loc, scale)).sum(-1)
+    assert_close(ours.joint_log_prob(value).exp(), torch.from_numpy(density))
+    assert_close(ours.cdf(value), torch.from_numpy((weight * norm.cdf(at, loc, scale)).sum(-1)))
+
+
+def test_single_precision_neither_overflows_nor_loses_the_density():
+    shape = (2000, 4, 3)
+    logits = 30.0 * torch.randint(-1, 2, shape)
+    loc, scale = torch.randn(shape), torch.full(shape, 0.01)
+    for value in (loc[..., 0] + 0.01 * torch.randn(2000, 4), torch.full((2000, 4), 50.0)):
+        ours = MixtureOfGaussians(logits, loc, scale).log_prob(value)
+        exact = MixtureOfGaussians(*(p.double() for p in (logits, loc, scale))).log_prob(
+            value.double()
+        )
+        assert ours.isfinite().all()
+        assert_close(ours.double(), exact, rtol=1e-4, atol=1e-4)
+
+
+def test_draws_have_the_mean_and_variance(parameters):
     ours = MixtureOfGaussians(*(p[:2] for p in parameters))
     draws = ours.sample(torch.Size([200_000]))
     sigma = ours.variance.sqrt()
     assert ((draws.mean(0) - ours.mean).abs() < 5 * sigma / 200_000**0.5).all()
-    assert_close(draws.var(0).double(), ours.variance, rtol=0.02, atol=1e-4)
+    assert_close(draws.var(0), ours.variance, rtol=0.03, atol=1e-4)
 
 
-def test_mode_is_the_highest_point_of_a_grid(parameters):
-    ours = MixtureOfGaussians(*parameters)
-    grid = torch.linspace(-5, 5, 20001, dtype=torch.float64)[:, None, None].expand(-1, 50, 4)
-    logits, loc, scale = parameters
-    each = MixtureSameFamily(Categorical(logits=logits), Normal(loc, scale))
-    density, best = each.log_prob(grid), each.log_prob(ours.mode)
-    assert (best >= density.amax(0) - 1e-4).all()
+def test_draws_carry_the_gradient_of_the_mean_and_the_spread():
+    """``d E[x^2] = d (sum_k w_k (mu_k^2 + sigma_k^2))``, by draws and in closed form."""
+    values = [p.requires_grad_() for p in draw(1, 1, 3)]
+    moment = (values[0].softmax(-1) * (values[1].square() + values[2].square())).sum()
+    exact = torch.autograd.grad(moment, values)
+    many = [p.expand(400_000, 1, 3) for p in values]
+    drawn = torch.autograd.grad(MixtureOfGaussians(*many).rsample().square().mean(), values)
+    for got, expected in zip(drawn, exact, strict=True):
+        assert_close(got, expected, rtol=0.05, atol=0.02)
 
 
-def test_entropy_is_without_bias(parameters):
-    """Mean of many estimates against SciPy's quadrature, for one joint."""
-    logits, loc, scale = (p[0, 0] for p in parameters)
-    weight = logits.softmax(-1).numpy()
-
-    def density(x: float) -> float:
-        return float((weight * norm.pdf(x, loc.numpy(), scale.numpy())).sum())
-
-    points = sorted(loc.tolist())
-    exact = quad(
-        lambda x: -density(x) * np.log(density(x) + 1e-300), -8, 8, points=points, limit=500
-    )[0]
-    expanded = [p.expand(40_000, 1, 3) for p in (logits, loc, scale)]
-    estimates = MixtureOfGaussians(*expanded).entropy()
-    error = estimates.std().item() / 40_000**0.5
-    assert estimates.mean().item() == pytest.approx(exact, abs=5 * error)
+def test_mode_is_the_highest_point_of_a_grid_for_ten_thousand_mixtures():
+    for parameters in (draw(500, 3) for _ in range(20)):
+        _, density, _, _ = brute_force(parameters)
+        ours = MixtureOfGaussians(*(p[:, None] for p in parameters))
+        best = ours.joint_log_prob(ours.mode)[:, 0]
+        assert (best >= density.amax(0).log() - 1e-6).all()
 
 
-def test_entropy_has_a_gradient_in_the_deviation():
-    """For one component H = log(sigma) + const, so dH / dsigma = 1 / sigma."""
-    scale = torch.full((4000, 1, 1), 0.4, requires_grad=True)
-    MixtureOfGaussians(
-        torch.zeros(4000, 1, 1), torch.zeros(4000, 1, 1), scale
-    ).entropy().sum().backward()
-    assert scale.grad.mean().item() == pytest.approx(1 / 0.4, rel=0.1)
+def test_mode_moves_with_the_parameters_as_finite_differences_say():
+    logits = torch.tensor([[[0.3, 0.0]]], dtype=torch.float64)
+    loc = torch.tensor([[[0.2, -0.3]]], dtype=torch.float64)
+    scale = torch.tensor([[[0.4, 0.5]]], dtype=torch.float64)
+    values = [p.requires_grad_() for p in (logits, loc, scale)]
+    gradient = torch.autograd.grad(MixtureOfGaussians(*values).mode.sum(), values)
+    for which, got in enumerate(gradient):
+        for component in range(2):
+            ends = []
+            for step in (1e-4, -1e-4):
+                moved = [p.detach().clone() for p in values]
+                moved[which][0, 0, component] += step
+                ends.append(MixtureOfGaussians(*moved).mode.item())
+            assert got[0, 0, component].item() == pytest.approx(
+                (ends[0] - ends[1]) / 2e-4, abs=1e-3
+            )
+
+
+def test_entropy_is_that_of_brute_force_for_ten_thousand_mixtures():
+    for parameters in (draw(500, 3) for _ in range(20)):
+        _, density, log, step = brute_force(parameters)
+        exact = -(density * log).sum(0) * step
+        for kind, bound in ((torch.float64, 2e-5), (torch.float32, 1e-3)):
+            ours = MixtureOfGaussians(*(p[:, None].to(kind) for p in parameters)).entropy()
+            assert (ours - exact).abs().max() < bound
+
+
+def test_divergence_is_that_of_brute_force_for_ten_thousand_pairs():
+    for parameters, others in ((draw(500, 3), draw(500, 3)) for _ in range(20)):
+        others = (others[0], parameters[1] + 0.1 * others[1], others[2].clamp_min(0.1))
+        _, density, log, step = brute_force(parameters, others)
+        exact = (density * log).sum(0) * step
+        p, q = (MixtureOfGaussians(*(x[:, None] for x in x)) for x in (parameters, others))
+        assert_close(kl_divergence(p, q), exact, atol=1e-3, rtol=1e-4)
+
+
+def test_entropy_and_divergence_of_one_component_are_the_closed_forms():
+    zero, one = torch.zeros(1, 2, 1), torch.ones(1, 2, 1)
+    p, q = MixtureOfGaussians(zero, zero, 0.1 * one), MixtureOfGaussians(zero, one, 0.5 * one)
+    assert p.entropy().item() == pytest.approx(
+        2 * (0.5 + 0.5 * math.log(2 * math.pi) + math.log(0.1)), abs=1e-4
+    )
+    expected = 2 * (math.log(5) + (0.01 + 1) / (2 * 0.25) - 0.5)
+    assert kl_divergence(p, q).item() == pytest.approx(expected, abs=1e-4)
+    assert kl_divergence(p, p).item() == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("what", ["log_prob", "entropy", "kl", "cdf"])
+def test_gradients_are_those_of_finite_differences(what):
+    value, other = torch.randn(3, 2).double(), draw(3, 2, 3)
+
+    def evaluate(*parameters: torch.Tensor) -> torch.Tensor:
+        mixture = MixtureOfGaussians(*parameters)
+        if what == "kl":
+            return mixture.kl(MixtureOfGaussians(other[0], other[1], other[2] + 0.2))
+        return mixture.entropy() if what == "entropy" else getattr(mixture, what)(value)
+
+    logits, loc, scale = (p.requires_grad_() for p in draw(3, 2, 3))
+    assert torch.autograd.gradcheck(evaluate, (logits, loc, scale), eps=1e-6, atol=1e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("shared_components", [False, True])
+@pytest.mark.parametrize("statistic", ["mean", "mode"])
+def test_policy_without_exploration_gives_the_chosen_statistic(shared_components, statistic):
+    spec = Composite({"observation": Unbounded((2, 6))}, shape=(2,))
+    actor = mlp_actor(
+        spec,
+        Unbounded((2, 4)),
+        components=3,
+        shared_components=shared_components,
+        statistic=statistic,
+    )
+    td = spec.rand()
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        action = actor(td.clone())["action"]
+    assert_close(action, getattr(actor.get_dist(td), statistic))

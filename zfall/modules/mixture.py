@@ -1,16 +1,26 @@
-"""Mixtures of Gaussians as action distributions."""
+"""A mixture of Gaussians for every joint."""
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
-from torch.distributions import Distribution, constraints
+from torch.distributions import Distribution, constraints, register_kl
 
-_HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+# Quadrature: panels between these distances from every mean, in its standard deviations.
+_EDGES = (-8.0, -5.0, -3.0, -1.5, 0.0, 1.5, 3.0, 5.0, 8.0)
+_ORDER, _ORDER_KL = 6, 24  # nodes of a panel; a log ratio bends where other's components cross
+_GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 class MixtureOfGaussians(Distribution):
     """For every joint on its own, a mixture of K Gaussians.
+
+    Entropy and divergence are integrals over each joint, by Gauss-Legendre quadrature on panels
+    between the points ``mu_k + c sigma_k`` of all components: every component is resolved at its
+    own width, wherever it lies. Their error is below 1e-3 per joint for standard deviations in
+    [0.01, 1]. Nodes are held fixed in the gradient, which is then that of the integrand.
 
     Args:
         logits: unnormalised log weights ``(*B, J, K)``.
@@ -21,7 +31,7 @@ class MixtureOfGaussians(Distribution):
 
     arg_constraints: dict[str, constraints.Constraint] = {}
     support = constraints.independent(constraints.real, 1)
-    has_rsample = False
+    has_rsample = True
 
     def __init__(self, logits: Tensor, loc: Tensor, scale: Tensor, statistic: str = "mean"):
         self.statistic = statistic
@@ -30,33 +40,60 @@ class MixtureOfGaussians(Distribution):
         # fast as on a last axis of length K.
         self._log_weight = logits.movedim(-1, 0).contiguous().log_softmax(0)
         self._loc, self._scale = (x.movedim(-1, 0).contiguous() for x in (loc, scale))
-        self._log_factor = self._log_weight - self._scale.log() - _HALF_LOG_2PI
+        self._log_factor = self._log_weight - self._scale.log() - HALF_LOG_2PI
         super().__init__(loc.shape[:-2], loc.shape[-2:-1], validate_args=False)
 
-    def _component_log_prob(self, value: Tensor) -> Tensor:
-        """Log of weight x density of each component ``(K, ..., J)`` at ``value`` ``(..., J)``."""
+    def _deviations(self, value: Tensor) -> tuple[Tensor, Tensor]:
+        """``(value - mu) / sigma`` ``(K, ..., J)``, and what is added to make it a log density."""
         # The components' axis goes in front of those that value has in front of the batch's.
         extra = value.dim() - self._loc.dim() + 1
         loc, scale, factor = (
             x.reshape(len(x), *(1,) * extra, *x.shape[1:]) if extra else x
             for x in (self._loc, self._scale, self._log_factor)
         )
-        return factor - 0.5 * ((value - loc) / scale).square()
+        return (value - loc) / scale, factor
+
+    def _component_log_prob(self, value: Tensor) -> Tensor:
+        """Log of weight x density of each component ``(K, ..., J)`` at ``value`` ``(..., J)``."""
+        deviation, factor = self._deviations(value)
+        return factor - 0.5 * deviation.square()
+
+    def joint_log_prob(self, value: Tensor) -> Tensor:
+        """Log density of each joint ``(..., J)`` at ``value`` ``(..., J)``."""
+        return self._component_log_prob(value).logsumexp(0)
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log density ``(*B,)`` of actions ``(*B, J)``, summed over joints."""
-        return self._component_log_prob(value).logsumexp(0).sum(-1)
+        return self.joint_log_prob(value).sum(-1)
+
+    def cdf(self, value: Tensor) -> Tensor:
+        """Probability of each joint ``(..., J)`` to stay below ``value`` ``(..., J)``."""
+        deviation, _ = self._deviations(value)
+        extra = deviation.dim() - self._log_weight.dim()
+        weight = self._log_weight.exp()
+        weight = weight.reshape(len(weight), *(1,) * extra, *weight.shape[1:])
+        return (weight * torch.special.ndtr(deviation)).sum(0)
 
     @torch.no_grad()
     def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
         """Draws ``(*sample_shape, *B, J)``; the component by the Gumbel-max trick."""
         shape = torch.Size(sample_shape) + self.loc.shape
-        gumbel = -torch.empty(shape, device=self.loc.device).exponential_().log()
-        log_weight = self._log_weight.movedim(0, -1)
-        index = (log_weight + gumbel).argmax(-1, keepdim=True)
+        gumbel = -torch.empty(shape, dtype=self.loc.dtype, device=self.loc.device)
+        gumbel = -gumbel.exponential_().log()
+        index = (self._log_weight.movedim(0, -1) + gumbel).argmax(-1, keepdim=True)
         loc = self.loc.expand(shape).gather(-1, index).squeeze(-1)
         scale = self.scale.expand(shape).gather(-1, index).squeeze(-1)
-        return loc + scale * torch.randn(loc.shape, device=loc.device)
+        return loc + scale * torch.randn_like(loc)
+
+    def rsample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
+        """Draws with a gradient, ``dx = -dF(x) / p(x)`` at a fixed quantile, F being the ``cdf``.
+
+        Source: Figurnov et al., "Implicit reparameterization gradients", NeurIPS 2018.
+        """
+        value = self.sample(sample_shape)
+        density = self.joint_log_prob(value).exp().detach()
+        quantile = self.cdf(value)
+        return value - (quantile - quantile.detach()) / density
 
     @property
     def mean(self) -> Tensor:
@@ -71,18 +108,40 @@ class MixtureOfGaussians(Distribution):
 
     @property
     def mode(self) -> Tensor:
-        """Most likely value of each joint ``(*B, J)``.
+        """Most likely value of each joint ``(*B, J)``, the global maximum of its density.
 
-        Climbs from the mean of every component by the mean-shift fixed point, which never loses
-        density, and keeps the highest end.
+        Golden-section search between the neighbours of the highest K nodes of the quadrature that
+        are higher than theirs: in one dimension there are no more maxima than components, and
+        the nodes are close beside the width of each. The gradient is that of the root of
+        ``d log p / dx``.
         """
-        value = self._loc  # one climber per component
-        loc, precision = self._loc.unsqueeze(1), self._scale.square().reciprocal().unsqueeze(1)
-        for _ in range(20):
-            weight = self._component_log_prob(value).softmax(0) * precision
-            value = (weight * loc).sum(0) / weight.sum(0)
-        best = self._component_log_prob(value).logsumexp(0).argmax(0, keepdim=True)
-        return value.gather(0, best).squeeze(0)
+        with torch.no_grad():
+            nodes = _panels(self._loc, self._scale)[0].sort(0).values
+            height = self.joint_log_prob(nodes)
+            inner = height[1:-1]
+            peak = (inner >= height[:-2]) & (inner >= height[2:])
+            best = torch.where(peak, inner, -torch.inf).topk(len(self._loc), 0).indices
+            low, high = (nodes.gather(0, best + side) for side in (0, 2))
+            for _ in range(40):
+                width = _GOLDEN * (high - low)
+                left, right = high - width, low + width
+                falls = self.joint_log_prob(left) > self.joint_log_prob(right)
+                low, high = torch.where(falls, low, left), torch.where(falls, right, high)
+            middle = 0.5 * (low + high)
+            highest = self.joint_log_prob(middle).argmax(0, keepdim=True)
+            value = middle.gather(0, highest).squeeze(0)
+        slope = self._slope(value)
+        with torch.no_grad():
+            share = self._component_log_prob(value).softmax(0)
+            pull = (value - self._loc) / self._scale.square()
+            bend = (share * (pull.square() - self._scale.square().reciprocal())).sum(0)
+            bend = (bend - slope.square()).clamp_max(-0.1)  # a flat top has no slope to speak of
+        return value - (slope - slope.detach()) / bend
+
+    def _slope(self, value: Tensor) -> Tensor:
+        """Slope of each joint's log density ``(*B, J)``."""
+        share = self._component_log_prob(value).softmax(0)
+        return -(share * (value - self._loc) / self._scale.square()).sum(0)
 
     @property
     def deterministic_sample(self) -> Tensor:
@@ -90,11 +149,31 @@ class MixtureOfGaussians(Distribution):
         return self.mode if self.statistic == "mode" else self.mean
 
     def entropy(self) -> Tensor:
-        """Estimate of the entropy ``(*B,)`` with a gradient, summed over joints.
+        """Entropy ``(*B,)``, summed over joints, with a gradient."""
+        nodes, weights = _panels(self._loc, self._scale)
+        log_prob = self.joint_log_prob(nodes)
+        return -(weights * log_prob.exp() * log_prob).sum(0).sum(-1)
 
-        One reparameterised draw from every component: ``-sum_k w_k log p(mu_k + sigma_k e)``,
-        without bias in value and gradient.
-        """
-        value = self._loc + self._scale * torch.randn_like(self._loc)
-        log_prob = self._component_log_prob(value).logsumexp(0)
-        return -(self._log_weight.exp() * log_prob).sum((0, -1))
+    def kl(self, other: "MixtureOfGaussians") -> Tensor:
+        """``KL(self || other)`` ``(*B,)``, summed over joints, with a gradient in both."""
+        loc, scale = (
+            torch.cat(pair) for pair in ((self._loc, other._loc), (self._scale, other._scale))
+        )
+        nodes, weights = _panels(loc, scale, _ORDER_KL)
+        log_prob = self.joint_log_prob(nodes)
+        ratio = log_prob - other.joint_log_prob(nodes)
+        return (weights * log_prob.exp() * ratio).sum(0).sum(-1)
+
+
+register_kl(MixtureOfGaussians, MixtureOfGaussians)(MixtureOfGaussians.kl)
+
+
+@torch.no_grad()
+def _panels(loc: Tensor, scale: Tensor, order: int = _ORDER) -> tuple[Tensor, Tensor]:
+    """Nodes and weights ``(M, *B, J)`` of the quadrature over all components ``(K, *B, J)``."""
+    at = loc.new_tensor(_EDGES).view(-1, 1, *[1] * (loc.dim() - 1))
+    edges = (loc + at * scale).flatten(0, 1).sort(0).values
+    half, middle = 0.5 * edges.diff(dim=0), 0.5 * (edges[1:] + edges[:-1])
+    points = np.polynomial.legendre.leggauss(order)
+    node, weight = (loc.new_tensor(x).view(-1, *[1] * loc.dim()) for x in points)
+    return (middle + half * node).flatten(0, 1), (half * weight).flatten(0, 1)

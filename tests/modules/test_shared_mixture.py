@@ -1,0 +1,72 @@
+"""The mixture over the whole action against SciPy's densities and closed forms."""
+
+import math
+
+import pytest
+import torch
+from scipy.stats import multivariate_normal
+from torch.distributions import Independent, Normal, kl_divergence
+from torch.testing import assert_close
+
+from zfall.modules.shared_mixture import SharedMixtureOfGaussians
+
+Parameters = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+@pytest.fixture
+def shared() -> Parameters:
+    return (
+        torch.randn(30, 3).double(),
+        torch.randn(30, 3, 4).double(),
+        0.2 + torch.rand(30, 3, 4).double(),
+    )
+
+
+def test_shared_mixture_has_the_density_of_scipy(shared):
+    logits, loc, scale = shared
+    value = torch.randn(30, 4).double()
+    ours = SharedMixtureOfGaussians(*shared)
+    for row in range(30):
+        density = sum(
+            logits[row].softmax(-1)[k].item()
+            * multivariate_normal.pdf(
+                value[row].numpy(), loc[row, k].numpy(), (scale[row, k] ** 2).numpy()
+            )
+            for k in range(3)
+        )
+        assert ours.log_prob(value)[row].item() == pytest.approx(math.log(density), abs=1e-9)
+
+
+def test_shared_mixture_draws_all_joints_from_one_component():
+    loc = torch.tensor([[[-1.0, -1.0], [1.0, 1.0]]])
+    ours = SharedMixtureOfGaussians(
+        torch.tensor([[0.0, math.log(3)]]), loc, torch.full_like(loc, 0.01)
+    )
+    draws = ours.sample(torch.Size([20_000]))[:, 0]
+    assert (draws[:, 0] * draws[:, 1] > 0).all()
+    assert (draws[:, 0] > 0).float().mean().item() == pytest.approx(0.75, abs=0.015)
+    assert_close(ours.mean, torch.tensor([[0.5, 0.5]]))
+    assert_close(draws.var(0), ours.variance[0], rtol=0.03, atol=0)
+    assert_close(ours.mode, torch.tensor([[1.0, 1.0]]), atol=1e-4, rtol=0)
+
+
+def test_shared_mixture_of_one_component_is_a_gaussian():
+    loc, scale = torch.randn(5000, 1, 3), torch.rand(5000, 1, 3) + 0.1
+    p = SharedMixtureOfGaussians(torch.zeros(5000, 1), loc, scale)
+    q = SharedMixtureOfGaussians(torch.zeros(5000, 1), loc + 0.3, 2 * scale)
+    exact = [Independent(Normal(d.loc[:, 0], d.scale[:, 0]), 1) for d in (p, q)]
+    assert_close(p.entropy().mean(), exact[0].entropy().mean(), rtol=0, atol=0.1)
+    assert_close(kl_divergence(p, q).mean(), kl_divergence(*exact).mean(), rtol=0.03, atol=0)
+
+
+def test_shared_mixture_estimates_are_without_bias():
+    """Far apart: ``H = H(w) + sum_k w_k H_k``."""
+    logits = torch.tensor([[0.0, 1.0]]).expand(20_000, 2)
+    loc = torch.tensor([[[-5.0, 0.0, 1.0], [5.0, 2.0, 0.0]]]).expand(20_000, 2, 3)
+    scale = torch.tensor([[[0.1, 0.2, 0.3], [0.4, 0.1, 0.2]]]).expand(20_000, 2, 3)
+    weight = logits[0].softmax(-1)
+    each = Normal(loc[0], scale[0]).entropy().sum(-1)
+    exact = (weight * each - weight * weight.log()).sum().item()
+    estimates = SharedMixtureOfGaussians(logits, loc, scale).entropy()
+    error = estimates.std().item() / 20_000**0.5
+    assert estimates.mean().item() == pytest.approx(exact, abs=5 * error)

@@ -1,0 +1,154 @@
+"""From a network's features to the parameters of a distribution over actions."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torchrl.modules import IndependentNormal
+
+from zfall.modules.mixture import MixtureOfGaussians
+from zfall.modules.shared_mixture import SharedMixtureOfGaussians
+
+
+class GaussianHead(nn.Module):
+    """Mean from the features, standard deviation the same in every state, learned or fixed.
+
+    Args:
+        size: length of the features.
+        joints: number of joints J.
+        std: standard deviation (at the start, if learned), in units of the action.
+        learn_std: whether the deviation is learned.
+        min_std: smallest learned standard deviation.
+    """
+
+    keys = ("loc", "scale")
+    distribution = IndependentNormal
+
+    log_std: Tensor
+
+    def __init__(
+        self,
+        size: int,
+        joints: int,
+        *,
+        std: float = 0.5,
+        learn_std: bool = True,
+        min_std: float = 0.02,
+    ):
+        super().__init__()
+        self.mean = nn.Linear(size, joints)
+        log_std = torch.full((joints,), math.log(std))
+        if learn_std:
+            self.log_std = nn.Parameter(log_std)
+        else:
+            self.register_buffer("log_std", log_std)
+        self.min_std = min_std if learn_std else 0.0
+        nn.init.orthogonal_(self.mean.weight, 0.01)
+        nn.init.zeros_(self.mean.bias)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """``loc`` and ``scale`` ``(*B, J)``."""
+        loc = self.mean(features)
+        return loc, self.log_std.exp().clamp_min(self.min_std).expand_as(loc)
+
+
+class MixtureHead(nn.Module):
+    """Three numbers per component and joint: mean, raw standard deviation, logit.
+
+    ``std = min(softplus(raw) + 0.01, 1)``.
+
+    Args:
+        size: length of the features.
+        joints: number of joints J.
+        components: number of Gaussians K per joint.
+        std: standard deviation at the start, in units of the action.
+        spread: distance between the components' means at the start, for them to tell apart.
+    """
+
+    keys = ("logits", "loc", "scale")
+    distribution = MixtureOfGaussians
+
+    def __init__(
+        self, size: int, joints: int, *, components: int = 3, std: float = 0.5, spread: float = 0.2
+    ):
+        super().__init__()
+        self.shape = (3, joints, components)
+        self.linear = nn.Linear(size, 3 * joints * components)
+        nn.init.orthogonal_(self.linear.weight, 0.01)
+        bias = torch.zeros(self.shape)
+        bias[0] = spread * (torch.arange(components) - (components - 1) / 2)
+        bias[1] = math.log(math.expm1(std - 0.01))  # softplus gives std - 0.01
+        with torch.no_grad():
+            self.linear.bias.copy_(bias.flatten())
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """``logits``, ``loc`` and ``scale`` ``(*B, J, K)``."""
+        loc, raw, logits = self.linear(features).unflatten(-1, self.shape).unbind(-3)
+        scale = (nn.functional.softplus(raw) + 0.01).clamp_max(1.0)
+        return logits, loc, scale
+
+
+class SharedMixtureHead(nn.Module):
+    """A logit for each component; a mean and a raw standard deviation for it and every joint.
+
+    ``std = min(softplus(raw) + 0.01, 1)``. The means differ at the start by the random weights of
+    the layer alone: all joints of a component belong together, and no way to act comes first.
+
+    Args:
+        size: length of the features.
+        joints: number of joints J.
+        components: number of Gaussians K over all joints.
+        std: standard deviation at the start, in units of the action.
+        spread: standard deviation of the components' means at the start.
+    """
+
+    keys = ("logits", "loc", "scale")
+    distribution = SharedMixtureOfGaussians
+
+    def __init__(
+        self, size: int, joints: int, *, components: int = 3, std: float = 0.5, spread: float = 0.1
+    ):
+        super().__init__()
+        self.shape = (2, components, joints)
+        self.logits = nn.Linear(size, components)
+        self.linear = nn.Linear(size, 2 * components * joints)
+        bias = torch.zeros(self.shape)
+        bias[0] = spread * torch.randn(components, joints)
+        bias[1] = math.log(math.expm1(std - 0.01))  # softplus gives std - 0.01
+        for layer in (self.logits, self.linear):
+            nn.init.orthogonal_(layer.weight, 0.01)
+        with torch.no_grad():
+            self.logits.bias.zero_()
+            self.linear.bias.copy_(bias.flatten())
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """``logits`` ``(*B, K)``, ``loc`` and ``scale`` ``(*B, K, J)``."""
+        loc, raw = self.linear(features).unflatten(-1, self.shape).unbind(-3)
+        scale = (nn.functional.softplus(raw) + 0.01).clamp_max(1.0)
+        return self.logits(features), loc, scale
+
+
+Head = GaussianHead | MixtureHead | SharedMixtureHead
+
+
+def make_head(
+    size: int,
+    joints: int,
+    components: int,
+    std: float,
+    learn_std: bool = True,
+    shared_components: bool = False,
+) -> Head:
+    """A Gaussian head for no component, else a mixture of so many.
+
+    Raises:
+        ValueError: if the deviation of a mixture is to be fixed, or no component to be shared.
+    """
+    if components == 0:
+        if shared_components:
+            raise ValueError("shared_components needs components, got 0 of them.")
+        return GaussianHead(size, joints, std=std, learn_std=learn_std)
+    if not learn_std:
+        raise ValueError(f"learn_std must be true with components, got {components} of them.")
+    head = SharedMixtureHead if shared_components else MixtureHead
+    return head(size, joints, components=components, std=std)
