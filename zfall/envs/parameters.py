@@ -113,8 +113,9 @@ class PhysicsParameters:
 
     def _fields(self, names: set[str], rows: Tensor) -> dict[str, Tensor]:
         """Values ``(K, ...)`` of the fields that depend on any of ``names``."""
-        value = {name: tensor[rows].double() for name, tensor in self.values.items()}
-        count, fields = int(rows.sum()), {}
+        index = rows.nonzero()[:, 0]
+        value = {n: tensor.index_select(0, index).double() for n, tensor in self.values.items()}
+        count, fields = len(index), {}
 
         def nominal(name: str) -> Tensor:
             fields[name] = self._nominal[name].repeat(count, *(1,) * self._nominal[name].dim())
