@@ -1,0 +1,60 @@
+"""What is said of how far a policy gets."""
+
+import math
+
+import pytest
+import torch
+from rich.console import Console
+
+from recipes.play import walk
+from tests.test_recipes import TINY, run
+from zfall.envs.make import make_env
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.starts import ScriptedStart
+
+
+def test_speed_and_distance_are_those_of_a_flight(make_base):
+    """In free fall from 9 m the level velocity stays: half of the worlds face along it, half away."""
+    base = make_base(num_envs=64)
+    heading = torch.full((64,), math.radians(60.0))
+    flip = torch.arange(64) % 4 == 0
+    faces = heading + math.pi * flip
+    zero = torch.zeros(64)
+    start = ScriptedStart(
+        base,
+        states={
+            "base_position": torch.tensor([[1.0, 2.0, 9.0]]).repeat(64, 1),
+            "base_orientation": torch.stack([(faces / 2).cos(), zero, zero, (faces / 2).sin()], -1),
+            "base_linear_velocity": 0.5 * torch.stack([heading.cos(), heading.sin(), zero], -1),
+        },
+    )
+    env = make_env(base, {"action": JointPositionTarget(base, scale=0.6), "start": start})
+    results, states, forces = walk(env, None, 1.0, Console(quiet=True))
+    assert results["fell"] == 0
+    assert results["seconds"] == pytest.approx(1.0)
+    assert results["forward_velocity"] == pytest.approx(0.5 * (48 - 16) / 64, rel=0.02)
+    assert results["distance"] == pytest.approx(0.5 * (1.0 - base.control_dt), rel=0.02)
+    assert states.shape[1] == forces.shape[1] == 4
+
+
+def test_playing_a_run_writes_its_figures(tmp_path):
+    assert run("train", *TINY, f"hydra.run.dir={tmp_path}").returncode == 0
+    done = run("play", f"run={tmp_path}", "seconds=0.2", "video=false")
+    assert done.returncode == 0, done.stderr
+    assert "forward_velocity" in (tmp_path / "play.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["video=false"], "error: run must be a run folder, got none."),
+        (["run=nowhere"], "there is no folder nowhere"),
+        (["run=nowhere", "+second=3"], "second is not a key of the config"),
+        (["run=nowhere", "seconds=0"], "error: seconds must be positive, got 0."),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(given, message):
+    done = run("play", *given)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
