@@ -78,7 +78,9 @@ class Learner:
             value_clip=loss.value_clip,
             value_error_clip=loss.value_error_clip,
         )
-        self.auxiliary = [self._auxiliary(loss) for loss in (cfg.auxiliary_losses or {}).values()]
+        self.auxiliary = [
+            self._auxiliary(loss) for loss in cfg.auxiliary_losses.values()
+        ]
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
@@ -99,7 +101,8 @@ class Learner:
         known: dict[str, Any] = {}
         if "spans" in inspect.signature(get_object(loss["_target_"])).parameters:
             vectors = [t for t in self.env.transform if t.out_keys == ["observation"]]
-            known["spans"] = vector_spans(self.env.observation_spec, vectors[-1].keys)
+            if vectors and hasattr(vectors[-1], "keys"):
+                known["spans"] = vector_spans(self.env.observation_spec, vectors[-1].keys)
         return instantiate(loss, self.actor, **known)
 
     @property

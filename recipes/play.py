@@ -1,4 +1,4 @@
-"""Lets a policy act in its own task and films it: ``python -m recipes.play run=DIR``."""
+"""Lets a policy act in its task, pushes on request, and films it: ``recipes.play run=DIR``."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from rich.progress import track
 from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from recipes.evaluate import keep, load_run
+from recipes.evaluate import BASELINES, keep, load_run
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import frame
 from zfall.evaluation.battery import BLOCK, play
@@ -30,14 +30,14 @@ def main(cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors():
         check_keys(cfg, KEYS)
-        if cfg.run is None:
-            raise ValueError("run must be a run folder, got none.")
-        if not cfg.seconds > 0:
-            raise ValueError(f"seconds must be positive, got {cfg.seconds}.")
+        if cfg.run is None or cfg.run in BASELINES:
+            raise ValueError(f"run must be a run folder, got {cfg.run or 'none'}.")
         env_cfg, actor = load_run(cfg)
         env_cfg = keep(env_cfg, cfg.keep)
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         env = instantiate(env_cfg, base_env={"num_envs": worlds}, training=False)
+        if not cfg.seconds >= (step := env.base_env.control_dt):
+            raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")
     assert actor is not None
     if recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))

@@ -204,6 +204,16 @@ def test_policy_is_the_running_average_of_the_actor(compose_config):
     )
 
 
+def test_sigma_by_name_finds_its_place_in_the_observation(compose_config):
+    """projected_gravity 3, base_angular_velocity 3, joint_position 20, joint_velocity 20, target 20."""
+    sigma = "auxiliary_losses.caps.sigma={joint_velocity:0.2,projected_gravity:0.1}"
+    learner = Learner(compose_config("num_envs=2", "caps=atalante", sigma))
+    expected = torch.zeros(46)
+    expected[:3], expected[26:46] = 0.1, 0.2
+    assert_close(learner.auxiliary[0].sigma[:46], expected)
+    assert not learner.auxiliary[0].sigma[46:].any()
+
+
 @pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
 def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, actor):
     """How much the action without exploration changes from step to step, after some updates."""

@@ -14,7 +14,7 @@ from zfall.envs.transforms.starts import ScriptedStart
 
 
 def test_speed_and_distance_are_those_of_a_flight(make_base):
-    """In free fall from 9 m the level velocity stays: half of the worlds face along it, half away."""
+    """In free fall from 9 m the level velocity stays: a quarter of the worlds face against it."""
     base = make_base(num_envs=64)
     heading = torch.full((64,), math.radians(60.0))
     flip = torch.arange(64) % 4 == 0
@@ -39,6 +39,8 @@ def test_speed_and_distance_are_those_of_a_flight(make_base):
 
 def test_playing_a_run_writes_its_figures(tmp_path):
     assert run("train", *TINY, f"hydra.run.dir={tmp_path}").returncode == 0
+    done = run("play", f"run={tmp_path}", "seconds=0.01", "video=false")
+    assert "error: seconds must be at least control_dt 0.04, got 0.01." in done.stderr
     done = run("play", f"run={tmp_path}", "seconds=0.2", "video=false")
     assert done.returncode == 0, done.stderr
     assert "forward_velocity" in (tmp_path / "play.json").read_text()
@@ -50,7 +52,7 @@ def test_playing_a_run_writes_its_figures(tmp_path):
         (["video=false"], "error: run must be a run folder, got none."),
         (["run=nowhere"], "there is no folder nowhere"),
         (["run=nowhere", "+second=3"], "second is not a key of the config"),
-        (["run=nowhere", "seconds=0"], "error: seconds must be positive, got 0."),
+        (["run=limp"], "error: run must be a run folder, got limp."),
     ],
 )
 def test_bad_input_is_refused_in_one_line(given, message):

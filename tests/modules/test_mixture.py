@@ -111,6 +111,14 @@ def test_mode_is_the_highest_point_of_a_grid_for_ten_thousand_mixtures():
         assert (best >= density.amax(0).log() - 1e-6).all()
 
 
+def test_mode_of_components_on_top_of_each_other():
+    """Two of three the same, two maxima of nearly equal height: the grid's is not exceeded."""
+    logits = torch.log(torch.tensor([[[0.25, 0.25, 0.499]], [[0.25, 0.25, 0.501]]])).double()
+    loc = torch.tensor([[[-1.0, -1.0, 1.0]]]).double().expand(2, 1, 3)
+    ours = MixtureOfGaussians(logits, loc, torch.full((2, 1, 3), 0.1).double())
+    assert_close(ours.mode, torch.tensor([[-1.0], [1.0]]).double(), atol=1e-6, rtol=0)
+
+
 def test_mode_moves_with_the_parameters_as_finite_differences_say():
     logits = torch.tensor([[[0.3, 0.0]]], dtype=torch.float64)
     loc = torch.tensor([[[0.2, -0.3]]], dtype=torch.float64)

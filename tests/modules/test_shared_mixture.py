@@ -59,6 +59,28 @@ def test_shared_mixture_of_one_component_is_a_gaussian():
     assert_close(kl_divergence(p, q).mean(), kl_divergence(*exact).mean(), rtol=0.03, atol=0)
 
 
+def test_shared_mixture_mode_is_the_highest_point_of_a_grid():
+    """Components that overlap, so that the maximum is at none of their means."""
+    loc = torch.tensor([[[-0.4, 0.0], [0.4, 0.1], [0.1, -0.5]]]).double()
+    scale = torch.tensor([[[0.5, 0.4], [0.4, 0.5], [0.6, 0.4]]]).double()
+    ours = SharedMixtureOfGaussians(torch.tensor([[0.3, 0.0, 0.1]]).double(), loc, scale)
+    axis = torch.linspace(-1.5, 1.5, 601, dtype=torch.float64)
+    grid = torch.cartesian_prod(axis, axis)[:, None]
+    highest = grid[ours.log_prob(grid).argmax()]
+    assert (highest - loc[0]).norm(dim=-1).min() > 0.1
+    assert_close(ours.mode, highest, atol=0.005, rtol=0)
+
+
+def test_gradient_of_the_estimated_divergence_is_without_bias():
+    """Of a Gaussian as two halves: ``KL = (mu - m)^2 / (2 s^2) + ...``, ``d / d mu = (mu - m) / s^2``."""
+    mu = torch.tensor(0.3, requires_grad=True)
+    loc = mu.expand(200_000, 2, 1)
+    p = SharedMixtureOfGaussians(torch.zeros(200_000, 2), loc, torch.full_like(loc, 0.5))
+    q = SharedMixtureOfGaussians(torch.zeros(1, 1), torch.zeros(1, 1, 1), torch.ones(1, 1, 1))
+    p.kl(q).mean().backward()
+    assert mu.grad.item() == pytest.approx(0.3, abs=0.01)
+
+
 def test_shared_mixture_estimates_are_without_bias():
     """Far apart: ``H = H(w) + sum_k w_k H_k``."""
     logits = torch.tensor([[0.0, 1.0]]).expand(20_000, 2)

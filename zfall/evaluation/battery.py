@@ -19,6 +19,7 @@ from torchrl.modules.utils import get_primers_from_module
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 from zfall.envs.threads import physics_first
+from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.metrics import Outcomes
@@ -203,6 +204,11 @@ def play(
 
 
 def hold_pose(env: TransformedEnv) -> Policy:
-    """The baseline whose action is always zero: the servos hold the reference pose."""
+    """The baseline: the servos hold the reference pose, to which a velocity action first goes."""
+    pose = env.base_env.stand_position
+    for transform in env.transform:
+        if isinstance(transform, JointVelocityTarget):
+            toward = transform.action_toward
+            return lambda td: td.set("action", toward(pose, td["target"]))
     action = env.full_action_spec["action"].zero()
     return lambda td: td.set("action", action[: len(td)])

@@ -26,7 +26,8 @@ class CAPSLoss(LossModule):
         loss_temporal = temporal_coeff * mean_t |mu(o_t) - mu(o_t+1)|
         loss_spatial  = spatial_coeff * mean_t |mu(o_t) - mu(o_t + e)|,   e ~ N(0, sigma^2)
 
-    The gradient with respect to the policy's standard deviation is zero, unless ``on_actions``.
+    The gradient with respect to the policy's standard deviation is zero, unless ``on_actions``, or
+    for the mode of a mixture, which moves with it.
 
     Of a policy without memory the pairs are an observation and its successor, which at an
     episode's end is the last one of that episode. Of a recurrent one a batch holds sequences:
@@ -41,7 +42,7 @@ class CAPSLoss(LossModule):
     Args:
         actor_network: the policy.
         spans: where each quantity lies in the observation, by name; for a ``sigma`` by name.
-        temporal_coeff, spatial_coeff: weights; 0 leaves a term out.
+        temporal_coeff, spatial_coeff: weights.
         sigma: standard deviation of the spatial change, in standard deviations of the observation
             (those of the policy's normaliser, or 1); or of each quantity by its name, which
             leaves those that are not named as they are.

@@ -91,8 +91,8 @@ class MixtureHead(nn.Module):
 class SharedMixtureHead(nn.Module):
     """A logit for each component; a mean and a raw standard deviation for it and every joint.
 
-    ``std = min(softplus(raw) + 0.01, 1)``. The means differ at the start by the random weights of
-    the layer alone: all joints of a component belong together, and no way to act comes first.
+    ``std = min(softplus(raw) + 0.01, 1)``. The means differ at the start by random biases: all
+    joints of a component belong together, and no way to act comes first.
 
     Args:
         size: length of the features.

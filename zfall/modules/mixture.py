@@ -19,8 +19,11 @@ class MixtureOfGaussians(Distribution):
 
     Entropy and divergence are integrals over each joint, by Gauss-Legendre quadrature on panels
     between the points ``mu_k + c sigma_k`` of all components: every component is resolved at its
-    own width, wherever it lies. Their error is below 1e-3 per joint for standard deviations in
-    [0.01, 1]. Nodes are held fixed in the gradient, which is then that of the integrand.
+    own width, wherever it lies. The error of the entropy is below 1e-3 per joint for standard
+    deviations in [0.01, 1]; that of the divergence below 1e-3 + 1e-4 of it where those of the
+    second are at least 0.1, as its log density bends sharply between narrower ones. Nodes are held
+    fixed in the gradient, which is then that of the integrand. The entropy takes some 160
+    densities per joint and sample, and as much memory.
 
     Args:
         logits: unnormalised log weights ``(*B, J, K)``.
@@ -78,7 +81,7 @@ class MixtureOfGaussians(Distribution):
     def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
         """Draws ``(*sample_shape, *B, J)``; the component by the Gumbel-max trick."""
         shape = torch.Size(sample_shape) + self.loc.shape
-        gumbel = -torch.empty(shape, dtype=self.loc.dtype, device=self.loc.device)
+        gumbel = torch.empty(shape, dtype=self.loc.dtype, device=self.loc.device)
         gumbel = -gumbel.exponential_().log()
         index = (self._log_weight.movedim(0, -1) + gumbel).argmax(-1, keepdim=True)
         loc = self.loc.expand(shape).gather(-1, index).squeeze(-1)
@@ -119,14 +122,16 @@ class MixtureOfGaussians(Distribution):
             nodes = _panels(self._loc, self._scale)[0].sort(0).values
             height = self.joint_log_prob(nodes)
             inner = height[1:-1]
-            peak = (inner >= height[:-2]) & (inner >= height[2:])
-            best = torch.where(peak, inner, -torch.inf).topk(len(self._loc), 0).indices
+            # Not in the midst of equal nodes, which components on top of each other make.
+            rises, falls = inner > height[:-2], inner > height[2:]
+            peak = (inner >= height[:-2]) & (inner >= height[2:]) & (rises | falls)
+            best = torch.where(peak, inner, -torch.inf).topk(2 * len(self._loc), 0).indices
             low, high = (nodes.gather(0, best + side) for side in (0, 2))
             for _ in range(40):
                 width = _GOLDEN * (high - low)
                 left, right = high - width, low + width
-                falls = self.joint_log_prob(left) > self.joint_log_prob(right)
-                low, high = torch.where(falls, low, left), torch.where(falls, right, high)
+                down = self.joint_log_prob(left) > self.joint_log_prob(right)
+                low, high = torch.where(down, low, left), torch.where(down, right, high)
             middle = 0.5 * (low + high)
             highest = self.joint_log_prob(middle).argmax(0, keepdim=True)
             value = middle.gather(0, highest).squeeze(0)
@@ -135,7 +140,9 @@ class MixtureOfGaussians(Distribution):
             share = self._component_log_prob(value).softmax(0)
             pull = (value - self._loc) / self._scale.square()
             bend = (share * (pull.square() - self._scale.square().reciprocal())).sum(0)
-            bend = (bend - slope.square()).clamp_max(-0.1)  # a flat top has no slope to speak of
+            # A flat top moves without bounds.
+            least = 0.1 / self._scale.amax(0).square()
+            bend = torch.minimum(bend - slope.square(), -least)
         return value - (slope - slope.detach()) / bend
 
     def _slope(self, value: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ import torch
 from tensordict import TensorDict
 from torch.testing import assert_close
 
+from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import JointVelocityTarget
 
 ELBOW, SHOULDER = 14, 12  # left
@@ -13,7 +14,9 @@ ELBOW, SHOULDER = 14, 12  # left
 def drive(transform, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Targets ``(N, K, J)`` and commands ``(N, K S, J)`` of actions ``(N, K, J)``."""
     num = len(actions)
-    start = TensorDict({"joint_position": transform.position}, [num])  # the standing pose
+    start = TensorDict(
+        {"joint_position": torch.tensor(ZEROTH01.stand_position).repeat(num, 1)}, [num]
+    )
     transform._reset(TensorDict(batch_size=[num]), start)
     steps = [transform._inv_call(TensorDict({"action": a}, [num])) for a in actions.unbind(1)]
     return torch.stack([s["target"] for s in steps], 1), torch.cat([s["control"] for s in steps], 1)

@@ -15,14 +15,13 @@ class ActuatorDelay(Transform):
     """Lets the servos follow their commands a little late, each world by its own delay.
 
     A delay is drawn uniformly between its bounds and rounded to physics steps: the command meant
-    for time t acts at t + delay. Before the first command has arrived the servos hold the
-    standing reference. A delay drawn anew at every control step holds for all physics steps of
-    that step; where it grows, the servos get some commands a second time, where it shrinks they
-    miss some.
+    for time t acts at t + delay. A delay drawn anew at every control step holds for all physics
+    steps of that step; where it grows, the servos get some commands a second time, where it
+    shrinks they miss some.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
-    ``(N, J)``; writes ``control``. Until the first command arrives the servos hold the joints where
-    the reset put them.
+    ``(N, J)``; writes ``control``, until the first command arrives the angles of the joints at the
+    reset.
 
     Args:
         env: the base env.

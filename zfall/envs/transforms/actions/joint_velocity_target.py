@@ -74,6 +74,11 @@ class JointVelocityTarget(Transform):
         self.register_buffer("time", self.tick * torch.arange(ticks + 1)[:, None])
         self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
 
+    def action_toward(self, angles: Tensor, target: Tensor) -> Tensor:
+        """The action ``(N, J)`` that moves targets ``(N, J)`` to ``angles`` ``(J,)`` [rad]."""
+        speed = (angles - target) / (len(self.time) - 1) / self.tick
+        return (speed / per_world(self.limit, 2)).clamp(-1.0, 1.0)
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         low, high = self.range.unbind(-1)
         velocity = tensordict["action"].clamp(-1.0, 1.0) * per_world(self.limit, 2)
