@@ -11,6 +11,7 @@ from zfall.evaluation.battery import (
     battery_env,
     load_battery,
     plan_trials,
+    play,
     push_forces,
     run_battery,
 )
@@ -116,3 +117,14 @@ def test_policy_runs_without_exploration(compose_config):
                 parameter.zero_()
     battery = load_battery("planar", **(SMALL | {"impulses": [0.1]}))
     assert run_battery(battery, cfg.env, policy, num_envs=64)["recovered"].all()
+
+
+def test_pose_hold_goes_to_the_reference_under_velocity_targets(compose_config):
+    """From 2 degrees beside it on all joints: the target is there in the first step, and stays."""
+    cfg = compose_config("env=atalante_standing").env
+    env, start, _ = battery_env(load_battery("planar"), cfg, 64)
+    pose = env.base_env.stand_position
+    start.states["joint_position"] = (pose + 0.035).repeat(64, 1)
+    targets = [td["target"] for td in play(env, None, 5)]
+    for target in targets:
+        torch.testing.assert_close(target, pose.expand(64, -1), atol=1e-5, rtol=0)
