@@ -85,7 +85,7 @@ class PhysicsParameters:
         Raises:
             ValueError: on an unknown name or a wrong shape.
         """
-        before = dict(self.values)
+        index, changed = rows.nonzero()[:, 0], set()
         for name, value in values.items():
             if name not in self.values:
                 raise ValueError(
@@ -96,8 +96,10 @@ class PhysicsParameters:
                     f"{name} must have the shape {tuple(self.values[name].shape)}, "
                     f"got {tuple(value.shape)}."
                 )
-            self.values[name] = torch.where(rows[:, None], value.float(), self.values[name])
-        changed = {name for name in values if not torch.equal(self.values[name], before[name])}
+            new = value.index_select(0, index).float()
+            if not torch.equal(new, self.values[name].index_select(0, index)):
+                changed.add(name)  # a new tensor: others may hold the old one
+                self.values[name] = self.values[name].index_copy(0, index, new)
         slope, payload = self.values["slope"], self.values["payload"]
         self.gravity = _downhill(slope) if slope.any() else None
         self.mass = None
@@ -105,15 +107,14 @@ class PhysicsParameters:
             links = self._nominal["body_mass"][self._link].float()
             own = (links * self.values["link_mass"]).sum(-1, keepdim=True)
             self.mass = own + payload.sum(-1, keepdim=True)
-        return self._fields(changed, rows)
+        return self._fields(changed, index)
 
     def state_dict(self) -> dict[str, Tensor]:
         """All values, to ``update`` with."""
         return {name: value.clone() for name, value in self.values.items()}
 
-    def _fields(self, names: set[str], rows: Tensor) -> dict[str, Tensor]:
-        """Values ``(K, ...)`` of the fields that depend on any of ``names``."""
-        index = rows.nonzero()[:, 0]
+    def _fields(self, names: set[str], index: Tensor) -> dict[str, Tensor]:
+        """Values ``(K, ...)`` of the fields that depend on any of ``names``, of worlds ``(K,)``."""
         value = {n: tensor.index_select(0, index).double() for n, tensor in self.values.items()}
         count, fields = len(index), {}
 

@@ -111,14 +111,14 @@ def draw(distribution: Mapping[str, Any], shape: torch.Size, rng: torch.Generato
     else:
         u = torch.rand(shape[0], width, generator=rng)
         if kind == "uniform":
-            values = first + (second - first) * u
+            values = u.mul_(second - first).add_(first)
         else:
             values = first * (second / first) ** u
     clip = distribution.get("clip")
     if clip is not None:
         low, high = (torch.as_tensor(x).reshape(-1, 1) for x in clip)
         values = torch.clamp(values, low, high)
-    return values.float().expand(shape).clone()
+    return values.float().expand(shape)
 
 
 def _check(name: str, distribution: Mapping[str, Any]) -> None:
