@@ -78,9 +78,7 @@ class Learner:
             value_clip=loss.value_clip,
             value_error_clip=loss.value_error_clip,
         )
-        self.auxiliary = [
-            self._auxiliary(loss) for loss in cfg.auxiliary_losses.values()
-        ]
+        self.auxiliary = [self._auxiliary(loss) for loss in cfg.auxiliary_losses.values()]
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
