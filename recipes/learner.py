@@ -16,6 +16,7 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives import LossModule
 from torchrl.objectives.value import GAE
 
+from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.evaluation.battery import load_battery
@@ -49,18 +50,26 @@ class Learner:
             raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
         self._average = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.averaging))
         self.critic = instantiate(cfg.critic, spec)
-        hidden = [*recurrent_keys(self.actor), *recurrent_keys(self.critic)]
-        for module in (self.actor, self.critic):
+        self.auxiliary = [self._build(loss, self.actor) for loss in cfg.auxiliary_losses.values()]
+        self.augmentation = None
+        if cfg.augmentation:
+            self.augmentation = self._build(cfg.augmentation, [self.actor, self.critic])
+        # What has a memory runs along with the actor.
+        beside = [self.critic] if recurrent_keys(self.critic) else []
+        followed = [*self.auxiliary, self.augmentation]
+        memories = (m for module in followed for m in getattr(module, "memories", ()))
+        beside += {memory.key: memory for memory in memories}.values()
+        hidden = [key for module in (self.actor, *beside) for key in recurrent_keys(module)]
+        for module in (self.actor, *beside):
             if recurrent_keys(module):
                 self.env.append_transform(get_primers_from_module(module))
         self.env.set_seed(cfg.seed)
+        self._acting = TensorDictSequential(self.actor, *beside) if beside else self.actor
         loss = cfg.loss
         self.advantage: GAE
-        if recurrent_keys(self.critic):  # runs along with the actor, for its memory
-            self._acting = TensorDictSequential(self.actor, self.critic)
+        if recurrent_keys(self.critic):
             self.advantage = RecurrentGAE(self.critic, gamma=loss.gamma, lmbda=loss.lmbda)
         else:
-            self._acting = self.actor
             self.advantage = GAE(
                 gamma=loss.gamma, lmbda=loss.lmbda, value_network=self.critic, deactivate_vmap=True
             )
@@ -78,7 +87,6 @@ class Learner:
             value_clip=loss.value_clip,
             value_error_clip=loss.value_error_clip,
         )
-        self.auxiliary = [self._auxiliary(loss) for loss in cfg.auxiliary_losses.values()]
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
@@ -94,14 +102,37 @@ class Learner:
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
 
-    def _auxiliary(self, loss: DictConfig) -> LossModule:
-        """A loss beside PPO's, called with the actor, and ``spans`` if it asks for them."""
+    def _build(self, config: DictConfig, *args: object) -> Any:
+        """A loss or augmentation, given what it asks for by name: ``spans`` and ``mirrors``.
+
+        ``spans`` say where each quantity lies in the observation; ``mirrors`` reflect the keys
+        that the class names as ``mirrored``.
+        """
+        target = get_object(config["_target_"])
+        asked = inspect.signature(target).parameters
         known: dict[str, Any] = {}
-        if "spans" in inspect.signature(get_object(loss["_target_"])).parameters:
-            vectors = [t for t in self.env.transform if t.out_keys == ["observation"]]
-            if vectors and hasattr(vectors[-1], "keys"):
-                known["spans"] = vector_spans(self.env.observation_spec, vectors[-1].keys)
-        return instantiate(loss, self.actor, **known)
+        if "spans" in asked:
+            known["spans"] = self._spans("observation")[0]
+        if "mirrors" in asked:
+            known["mirrors"] = {key: self._mirror(key) for key in target.mirrored}
+        return instantiate(config, *args, **known)
+
+    def _spans(self, key: str) -> tuple[dict[str, slice], Any]:
+        """Where quantities lie in an observation, and the transform that lines them up."""
+        vectors = [t for t in self.env.transform if t.out_keys == [key] and hasattr(t, "keys")]
+        if not vectors:
+            return {}, None
+        return vector_spans(self.env.observation_spec, vectors[-1].keys), vectors[-1]
+
+    def _mirror(self, key: str) -> Mirror:
+        base = self.env.base_env
+        if key == "action":
+            return mirror_action(base.robot, self.env.action_spec.shape[-1])
+        spans, vector = self._spans(key)
+        size = self.env.observation_spec[key].shape[-1]
+        if max((span.stop for span in spans.values()), default=0) != size:
+            raise ValueError(f"a mirrored {key} must be one vector of quantities, got {size} values.")
+        return mirror_vector(base.robot, spans, base.joint_range, getattr(vector, "affine", None))
 
     @property
     def policy(self) -> torch.nn.Module:
@@ -137,6 +168,8 @@ class Learner:
             outputs = []
             for rows in torch.randperm(len(data)).split(size):
                 part = data[rows]
+                if self.augmentation is not None:
+                    part = self.augmentation(part)
                 out = self.loss(part)
                 for auxiliary in self.auxiliary:
                     out.update(auxiliary(part))

@@ -25,7 +25,7 @@ from zfall import checkpoint
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches"),
     *("max_grad_norm", "averaging", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
-    *("optimizer", "scheduler", "showcase", "experiment", "auxiliary_losses"),
+    *("optimizer", "scheduler", "showcase", "experiment", "auxiliary_losses", "augmentation"),
 }
 
 

@@ -1,0 +1,169 @@
+"""Left and right exchanged in named quantities."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from zfall.envs.robots import Robot
+from zfall.envs.transforms.commands import ENTRIES
+
+# Signs under a reflection at the robot's plane of symmetry, which y is normal to.
+_POLAR, _AXIAL, _QUATERNION = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, -1.0, 1.0, -1.0)
+_SIGNS: dict[str, tuple[float, ...]] = {
+    **dict.fromkeys(("base_position", "com_position", "projected_gravity", "push/force"), _POLAR),
+    **dict.fromkeys(("base_linear_velocity", "com_velocity", "linear_momentum"), _POLAR),
+    **dict.fromkeys(("base_acceleration",), _POLAR),
+    **dict.fromkeys(("base_angular_velocity", "angular_momentum"), _AXIAL),
+    **dict.fromkeys(("base_orientation", "imu_orientation"), _QUATERNION),
+    **dict.fromkeys(("tilt", "roll_pitch"), (-1.0, 1.0)),
+    **dict.fromkeys(("base_height", "base_acceleration_peak", "params/foot_friction"), (1.0,)),
+    "params/slope": (1.0, -1.0),
+    "command": tuple(-1.0 if name in ("vy", "yaw", "roll") else 1.0 for name in ENTRIES),
+}
+# Of a foot; left and right change places besides.
+_FOOT_SIGNS: dict[str, tuple[float, ...]] = {
+    **dict.fromkeys(("feet_position", "feet_velocity", "feet_force", "feet_in_base"), _POLAR),
+    **dict.fromkeys(("feet_contact", "feet_load", "feet_air_time"), (1.0,)),
+    "feet_orientation": _QUATERNION,
+    "feet_cop": (1.0, -1.0),
+}
+_JOINTS = ("joint_position", "joint_velocity", "joint_torque", "target", "action", "last_action")
+_WITHIN_RANGE = ("joint_position", "target")  # left and right need not have the same ranges
+
+Permutation = tuple[Sequence[int], Sequence[float]]
+
+
+class Mirror(nn.Module):
+    """Reflects a vector: ``clamp(factor * x[index] + summand, low, high)``.
+
+    Args:
+        index: which component goes where ``(D,)``.
+        factor, summand: ``(D,)``.
+        low, high: bounds ``(D,)``; none if ``None``.
+    """
+
+    index: Tensor
+    factor: Tensor
+    summand: Tensor
+
+    def __init__(
+        self,
+        index: Tensor,
+        factor: Tensor,
+        summand: Tensor | None = None,
+        low: Tensor | None = None,
+        high: Tensor | None = None,
+    ):
+        super().__init__()
+        self.register_buffer("index", index)
+        self.register_buffer("factor", factor)
+        self.register_buffer("summand", torch.zeros_like(factor) if summand is None else summand)
+        self.register_buffer("low", low)
+        self.register_buffer("high", high)
+
+    def forward(self, vector: Tensor) -> Tensor:
+        """The vector ``(*B, D)`` of the robot in the mirror."""
+        image = vector.index_select(-1, self.index) * self.factor + self.summand
+        return image if self.low is None else image.clamp(self.low, self.high)
+
+
+def mirror_vector(
+    robot: Robot,
+    spans: Mapping[str, slice],
+    joint_range: Tensor,
+    affine: Mapping[str, tuple[float | Tensor, float | Tensor]] | None = None,
+) -> Mirror:
+    """Mirror of a vector of named quantities.
+
+    Angles that the joint on the other side cannot take are clamped to its range: no robot is
+    quite symmetric.
+
+    Args:
+        robot: whose sides are exchanged.
+        spans: where each quantity lies in the vector, by name; a nested key as ``outer/inner``.
+        joint_range: of the joints ``(J, 2)`` [rad].
+        affine: of quantities that stand there as ``factor * x + summand``, by name, both.
+
+    Raises:
+        ValueError: on a quantity whose mirror image is not known.
+    """
+    size = max(span.stop for span in spans.values())
+    index, sign = torch.arange(size), torch.ones(size)
+    factor, summand = torch.ones(size), torch.zeros(size)
+    low, high = torch.full((size,), -torch.inf), torch.full((size,), torch.inf)
+    for name, span in spans.items():
+        places, signs = mirror_quantity(robot, name)
+        if span.stop - span.start != len(places):
+            raise ValueError(
+                f"keys must name whole quantities to be mirrored, {name} has {len(places)} "
+                f"components, got {span.stop - span.start}."
+            )
+        index[span] = span.start + torch.tensor(list(places))
+        sign[span] = torch.tensor(list(signs))
+        if name in _WITHIN_RANGE:
+            low[span], high[span] = joint_range.unbind(-1)
+        if affine and name in affine:
+            factor[span], summand[span] = affine[name]
+    # What the bounds are in the vector, and in it the image of x = (v - summand) / factor.
+    bounds = torch.stack([factor * low + summand, factor * high + summand])
+    scale = sign * factor / factor[index]
+    shift = summand - scale * summand[index]
+    return Mirror(index, scale, shift, bounds.amin(0), bounds.amax(0))
+
+
+def mirror_quantity(robot: Robot, name: str) -> Permutation:
+    """Of each component of a quantity, where its image comes from, and the sign.
+
+    Raises:
+        ValueError: on a quantity whose mirror image is not known.
+    """
+    if name in _SIGNS:
+        return range(len(_SIGNS[name])), _SIGNS[name]
+    if name in _FOOT_SIGNS:
+        return _swapped(range(len(_FOOT_SIGNS[name])), _FOOT_SIGNS[name])
+    special: dict[str, Callable[[], Permutation]] = {
+        **dict.fromkeys(_JOINTS, lambda: (robot.mirror_index, robot.mirror_sign)),
+        "feet_corner_force": lambda: _corners(robot),
+        "contact_force_peak": lambda: _regions(robot),
+    }
+    if name not in special:
+        known = ", ".join((*_SIGNS, *_FOOT_SIGNS, *special))
+        raise ValueError(f"a mirrored quantity must be one of {known}; got {name}.")
+    return special[name]()
+
+
+def mirror_action(robot: Robot, size: int) -> Mirror:
+    """Mirror of an action ``(*B, size)`` of all joints, or of those of the legs.
+
+    Raises:
+        ValueError: on another size.
+    """
+    for group in (tuple(range(len(robot.joints))), tuple(robot.joints.index(j) for j in robot.legs)):
+        if len(group) == size:
+            index = torch.tensor([group.index(robot.mirror_index[joint]) for joint in group])
+            return Mirror(index, torch.tensor([robot.mirror_sign[joint] for joint in group]))
+    raise ValueError(
+        f"a mirrored action must have {len(robot.joints)} joints, or the {len(robot.legs)} of the "
+        f"legs; got {size}."
+    )
+
+
+def _swapped(within: Sequence[int], signs: Sequence[float]) -> Permutation:
+    """Two feet that change places, their components permuted ``within`` each."""
+    return [*(len(within) + i for i in within), *within], [*signs, *signs]
+
+
+def _corners(robot: Robot) -> Permutation:
+    other = [robot.corners.index(_other_side(corner)) for corner in robot.corners]
+    return _swapped(other, [1.0] * len(other))
+
+
+def _regions(robot: Robot) -> Permutation:
+    return [robot.regions.index(_other_side(r)) for r in robot.regions], [1.0] * len(robot.regions)
+
+
+def _other_side(name: str) -> str:
+    """The name with left and right exchanged."""
+    words = {"left": "right", "right": "left"}
+    return "_".join(words.get(word, word) for word in name.split("_"))
