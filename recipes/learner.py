@@ -1,6 +1,7 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
 import inspect
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -41,6 +42,13 @@ class Learner:
                 raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
         if cfg.showcase:  # refused now rather than after the training
             load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
+        if not 0 <= cfg.burn_in < cfg.rollout_steps:
+            raise ValueError(f"burn_in must lie in [0, rollout_steps), got {cfg.burn_in}.")
+        if cfg.loss.normalize_advantage not in ("minibatch", "batch", None):
+            raise ValueError(
+                "loss.normalize_advantage must be minibatch, batch or null, "
+                f"got {cfg.loss.normalize_advantage}."
+            )
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)
@@ -49,7 +57,8 @@ class Learner:
         if not 0 <= cfg.averaging < 1:
             raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
         self._average = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.averaging))
-        self.critic = instantiate(cfg.critic, spec)
+        shared = {"normalize": normalizer_of(self.actor)} if cfg.critic.normalize == "shared" else {}
+        self.critic = instantiate(cfg.critic, spec, **shared)
         self.auxiliary = [self._build(loss, self.actor) for loss in cfg.auxiliary_losses.values()]
         self.augmentation = None
         if cfg.augmentation:
@@ -63,6 +72,8 @@ class Learner:
         for module in (self.actor, *beside):
             if recurrent_keys(module):
                 self.env.append_transform(get_primers_from_module(module))
+        if cfg.burn_in and not hidden:
+            raise ValueError(f"burn_in must be 0 without memory to refresh, got {cfg.burn_in}.")
         self.env.set_seed(cfg.seed)
         self._acting = TensorDictSequential(self.actor, *beside) if beside else self.actor
         loss = cfg.loss
@@ -81,7 +92,7 @@ class Learner:
             entropy_coeff=loss.entropy_coeff,
             entropy_bonus=loss.entropy_coeff > 0,  # a coefficient of 0 would still compute it
             loss_critic_type="l2",
-            normalize_advantage=True,
+            normalize_advantage=loss.normalize_advantage == "minibatch",
             kl_coeff=loss.kl_coeff,
             kl_target=loss.kl_target,
             value_clip=loss.value_clip,
@@ -160,16 +171,21 @@ class Learner:
         cfg = self.cfg
         with torch.no_grad(), set_recurrent_mode(True):
             self.advantage(batch)
+        if cfg.loss.normalize_advantage == "batch":
+            advantage = batch["advantage"]
+            batch["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-6)
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
         if not self._recurrent:
             data = data.reshape(-1)  # else a minibatch holds whole sequences
         size = -(-len(data) // cfg.minibatches)
-        for _ in range(cfg.epochs):
+        for passes in range(1, cfg.epochs + 1):
             outputs = []
             for rows in torch.randperm(len(data)).split(size):
                 part = data[rows]
                 if self.augmentation is not None:
                     part = self.augmentation(part)
+                if cfg.burn_in:
+                    part = burnt_in(part, [self.actor, self.critic], cfg.burn_in)
                 out = self.loss(part)
                 for auxiliary in self.auxiliary:
                     out.update(auxiliary(part))
@@ -179,15 +195,19 @@ class Learner:
                 self.optimizer.step()
                 self.optimizer.zero_grad()
                 outputs.append({key: value.detach().mean() for key, value in out.items()})
+            if cfg.loss.kl_stop is not None and _divergence(outputs) > cfg.loss.kl_stop:
+                break
         means = {k: torch.stack([out[k] for out in outputs]).mean().item() for k in outputs[0]}
-        # mean(r - 1 - log r) over ratios r: never negative, and of little noise.
-        means["kl"] = means.pop("kl_approx") + means["mean_ratio"] - 1.0
+        del means["kl_approx"]
+        means |= {"kl": _divergence(outputs), "passes": passes}
         if self.scheduler is not None:
             self.scheduler.step(max(means["kl"], 1e-6))
         self.loss.adapt(means["kl"])
-        for module, key in ((self.actor, "observation"), (self.critic, "observation_critic")):
-            if (normalizer := normalizer_of(module)) is not None:
-                normalizer.update(batch[key])
+        of_actor, of_critic = normalizer_of(self.actor), normalizer_of(self.critic)
+        if of_actor is not None:
+            of_actor.update(batch["observation"])
+        if of_critic is not None and of_critic is not of_actor:
+            of_critic.update(batch["observation_critic"])
         self._average.update_parameters(self.actor)
         self.updates += 1
         return means
@@ -224,6 +244,31 @@ class Learner:
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]
+
+
+def burnt_in(
+    batch: TensorDictBase, networks: Iterable[torch.nn.Module], steps: int
+) -> TensorDictBase:
+    """Sequences ``(N, T, ...)`` without their first steps, which only refresh the memory.
+
+    The memory that was stored is that of weights that have changed since; what these networks
+    remember after ``steps`` of the sequence, beginning with it, is closer to theirs.
+    """
+    first, rest = batch[:, :steps], batch[:, steps:].copy()
+    begins = rest["is_init"][:, 0]
+    for network in networks:
+        for key in recurrent_keys(network):
+            with torch.no_grad(), set_recurrent_mode(True):
+                after = network(first.select(*network.in_keys))["next", key][:, -1]
+            memory = rest[key].clone()
+            memory[:, 0] = torch.where(begins[..., None], memory[:, 0], after)
+            rest[key] = memory
+    return rest
+
+
+def _divergence(outputs: list[dict[str, torch.Tensor]]) -> float:
+    """``mean(r - 1 - log r)`` over ratios r: never negative, and of little noise."""
+    return torch.stack([out["kl_approx"] + out["mean_ratio"] - 1.0 for out in outputs]).mean().item()
 
 
 def batch_metrics(

@@ -23,7 +23,7 @@ from recipes.showcase import show
 from zfall import checkpoint
 
 KEYS = {
-    *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches"),
+    *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
     *("max_grad_norm", "averaging", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
     *("optimizer", "scheduler", "showcase", "experiment", "auxiliary_losses", "augmentation"),
 }
@@ -31,7 +31,7 @@ KEYS = {
 
 LOSS_KEYS = {
     *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
-    *("kl_coeff", "kl_target", "value_clip", "value_error_clip"),
+    *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
 }
 
 
@@ -173,7 +173,7 @@ class RunFolder:
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
         self.recent = [*self.recent, metrics["reward"]][-10:]
         row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
-        row["kl"] = losses.pop("kl")
+        row |= {key: losses.pop(key) for key in ("kl", "passes")}
         row["learning_rate"] = learner.optimizer.param_groups[0]["lr"]
         row |= {f"loss/{k.removeprefix('loss_')}": v for k, v in losses.items()}
         began, collected, ended = times
@@ -212,7 +212,8 @@ class RunFolder:
         for name in ("metrics.csv", "timing.csv"):
             path = self.folder / name
             header, *rows = path.read_text().splitlines(keepends=True)
-            kept = [row for row in rows if int(row.split(",", 1)[0]) <= state["updates"]]
+            whole = (row for row in rows if row.endswith("\n"))
+            kept = [row for row in whole if int(row.split(",", 1)[0]) <= state["updates"]]
             path.with_suffix(".tmp").write_text("".join([header, *kept]))
             path.with_suffix(".tmp").replace(path)
 

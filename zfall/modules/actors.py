@@ -16,27 +16,51 @@ _HIDDEN = "recurrent_state_actor"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 
 
-def mlp_trunk(size: int, num_cells: Sequence[int], activation: str = "elu") -> nn.Sequential:
-    """Linear layers with an activation behind each, initialised orthogonally.
+def mlp_trunk(
+    size: int,
+    num_cells: Sequence[int],
+    activation: str = "elu",
+    initialization: str = "orthogonal",
+) -> nn.Sequential:
+    """Linear layers with an activation behind each.
+
+    Weights are drawn layer by layer: ``orthogonal`` of gain sqrt(2) with biases of zero, or as
+    torch does by itself, ``default``.
 
     Raises:
-        ValueError: on an unknown activation.
+        ValueError: on an unknown activation or initialization.
     """
+    if initialization not in ("orthogonal", "default"):
+        raise ValueError(
+            f"initialization must be orthogonal or default, got {initialization!r}."
+        )
     if activation not in _ACTIVATIONS:
         names = ", ".join(_ACTIVATIONS)
         raise ValueError(f"activation must be one of {names}, got {activation!r}.")
     layers: list[nn.Module] = []
     for cells in num_cells:
         linear = nn.Linear(size, cells)
-        nn.init.orthogonal_(linear.weight, math.sqrt(2))
-        nn.init.zeros_(linear.bias)
+        if initialization == "orthogonal":
+            nn.init.orthogonal_(linear.weight, math.sqrt(2))
+            nn.init.zeros_(linear.bias)
         layers += [linear, _ACTIVATIONS[activation]()]
         size = cells
     return nn.Sequential(*layers)
 
 
-def normalizer(size: int, normalize: bool) -> list[nn.Module]:
-    """What stands before the first layer: a normaliser, or nothing."""
+def normalizer(size: int, normalize: bool | ObservationNormalizer) -> list[nn.Module]:
+    """What stands before the first layer: a normaliser, new or shared, or nothing.
+
+    Raises:
+        ValueError: if the one to be shared is of another size.
+    """
+    if isinstance(normalize, ObservationNormalizer):
+        if len(normalize.mean) != size:
+            raise ValueError(
+                f"a shared normaliser must have the size of the observation, {size}, "
+                f"got {len(normalize.mean)}."
+            )
+        return [normalize]
     return [ObservationNormalizer(size)] if normalize else []
 
 
@@ -46,12 +70,10 @@ def mlp_actor(
     *,
     num_cells: Sequence[int] = (128, 128),
     activation: str = "elu",
-    components: int = 0,
-    shared_components: bool = False,
-    std: float = 0.5,
-    learn_std: bool = True,
+    initialization: str = "orthogonal",
     normalize: bool = True,
     statistic: str = "mean",
+    **head: Any,
 ) -> ProbabilisticActor:
     """Feed-forward actor: ``observation`` ``(*B, D)`` -> ``action`` ``(*B, J)``.
 
@@ -59,23 +81,25 @@ def mlp_actor(
         observation_spec, action_spec: of the env.
         num_cells: widths of the hidden layers.
         activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
-        components: Gaussians per joint; 0 for a plain Gaussian, its deviation the same everywhere.
-        shared_components: whether all joints are of the same component, a mixture over the whole
-            action, in place of one for every joint.
-        std: standard deviation at the start, in units of the action.
-        learn_std: whether a plain Gaussian's deviation is learned.
+        initialization: of these layers, see ``mlp_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
+        head: ``components``: Gaussians per joint, 0 for a plain Gaussian; ``shared_components``:
+            whether all joints are of the same one, a mixture over the whole action; ``std``:
+            standard deviation at the start, in units of the action; ``std_range``: its floor and
+            cap; of a plain Gaussian ``learn_std``: whether it is learned, and ``state_std``:
+            whether it depends on the state. See ``make_head``.
 
     Raises:
-        ValueError: on another statistic or activation, or a mixture of fixed deviation.
+        ValueError: on another statistic, activation or initialization, or a mixture of fixed
+            deviation.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
-    head = make_head(num_cells[-1], joints, components, std, learn_std, shared_components)
-    trunk = mlp_trunk(size, num_cells, activation)
-    net = nn.Sequential(*normalizer(size, normalize), trunk, head)
-    module = TensorDictModule(net, in_keys=["observation"], out_keys=list(head.keys))
-    return _actor(module, head, statistic)
+    out = make_head(num_cells[-1], joints, **head)
+    trunk = mlp_trunk(size, num_cells, activation, initialization)
+    net = nn.Sequential(*normalizer(size, normalize), trunk, out)
+    module = TensorDictModule(net, in_keys=["observation"], out_keys=list(out.keys))
+    return _actor(module, out, statistic)
 
 
 def gru_actor(
@@ -85,10 +109,9 @@ def gru_actor(
     hidden_size: int = 64,
     num_layers: int = 3,
     components: int = 3,
-    shared_components: bool = False,
-    std: float = 0.5,
     normalize: bool = True,
     statistic: str = "mean",
+    **head: Any,
 ) -> ProbabilisticActor:
     """Recurrent actor: a linear layer, stacked GRU cells, a head.
 
@@ -100,24 +123,23 @@ def gru_actor(
         observation_spec, action_spec: of the env.
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
-        components: Gaussians per joint; 0 for a plain Gaussian with a learned deviation.
-        shared_components: whether all joints are of the same component, see ``mlp_actor``.
-        std: standard deviation at the start, in units of the action.
+        components: Gaussians per joint; 0 for a plain Gaussian.
         normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
+        head: as of ``mlp_actor``.
 
     Raises:
-        ValueError: on another statistic.
+        ValueError: on another statistic, or a mixture of fixed deviation.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
-    head = make_head(hidden_size, joints, components, std, shared_components=shared_components)
+    out = make_head(hidden_size, joints, components=components, **head)
     encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     module = TensorDictSequential(
         TensorDictModule(encoder, in_keys=["observation"], out_keys=["embedding_actor"]),
         gru(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
-        TensorDictModule(head, in_keys=["features_actor"], out_keys=list(head.keys)),
+        TensorDictModule(out, in_keys=["features_actor"], out_keys=list(out.keys)),
     )
-    return _actor(module, head, statistic)
+    return _actor(module, out, statistic)
 
 
 def gru(size: int, num_layers: int, in_key: str, out_key: str, hidden: str) -> GRUModule:

@@ -8,6 +8,7 @@ from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
 from zfall.modules.actors import gru, mlp_trunk, normalizer
+from zfall.modules.normalization import ObservationNormalizer
 
 _HIDDEN = "recurrent_state_critic"
 
@@ -37,7 +38,8 @@ def mlp_critic(
     *,
     num_cells: Sequence[int] = (128, 128),
     activation: str = "elu",
-    normalize: bool = True,
+    initialization: str = "orthogonal",
+    normalize: bool | ObservationNormalizer = True,
     scale: float = 1.0,
 ) -> ValueOperator:
     """Feed-forward critic: ``observation_critic`` ``(*B, D)`` -> ``state_value`` ``(*B, 1)``.
@@ -46,11 +48,13 @@ def mlp_critic(
         observation_spec: of the env.
         num_cells: widths of the hidden layers.
         activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
-        normalize: whether observations are centered and scaled by their statistics so far.
+        initialization: of these layers, see ``mlp_trunk``.
+        normalize: whether observations are centered and scaled by their statistics so far; or
+            the normaliser of an actor that sees the same, to be shared.
         scale: unit of the values.
     """
     size = observation_spec["observation_critic"].shape[-1]
-    trunk = mlp_trunk(size, num_cells, activation)
+    trunk = mlp_trunk(size, num_cells, activation, initialization)
     net = nn.Sequential(*normalizer(size, normalize), trunk, ValueHead(num_cells[-1], scale))
     return ValueOperator(net, in_keys=["observation_critic"])
 
@@ -60,7 +64,7 @@ def gru_critic(
     *,
     hidden_size: int = 64,
     num_layers: int = 3,
-    normalize: bool = True,
+    normalize: bool | ObservationNormalizer = True,
     scale: float = 1.0,
 ) -> TensorDictSequential:
     """Recurrent critic: a linear layer, stacked GRU cells, a linear layer.
@@ -73,7 +77,8 @@ def gru_critic(
         observation_spec: of the env.
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
-        normalize: whether observations are centered and scaled by their statistics so far.
+        normalize: whether observations are centered and scaled by their statistics so far; or
+            the normaliser of an actor that sees the same, to be shared.
         scale: unit of the values.
     """
     size = observation_spec["observation_critic"].shape[-1]

@@ -1,6 +1,8 @@
 """From a network's features to the parameters of a distribution over actions."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -11,14 +13,17 @@ from zfall.modules.shared_mixture import SharedMixtureOfGaussians
 
 
 class GaussianHead(nn.Module):
-    """Mean from the features, standard deviation the same in every state, learned or fixed.
+    """Mean from the features; standard deviation fixed, learned, or from the features as well.
+
+    ``scale = clamp(exp(log_std), *std_range)``, where it is learned.
 
     Args:
         size: length of the features.
         joints: number of joints J.
         std: standard deviation (at the start, if learned), in units of the action.
         learn_std: whether the deviation is learned.
-        min_std: smallest learned standard deviation.
+        state_std: whether it depends on the features, and so on the state.
+        std_range: smallest and largest learned standard deviation.
     """
 
     keys = ("loc", "scale")
@@ -33,7 +38,8 @@ class GaussianHead(nn.Module):
         *,
         std: float = 0.5,
         learn_std: bool = True,
-        min_std: float = 0.02,
+        state_std: bool = False,
+        std_range: Sequence[float] = (0.02, math.inf),
     ):
         super().__init__()
         self.mean = nn.Linear(size, joints)
@@ -42,20 +48,25 @@ class GaussianHead(nn.Module):
             self.log_std = nn.Parameter(log_std)
         else:
             self.register_buffer("log_std", log_std)
-        self.min_std = min_std if learn_std else 0.0
-        nn.init.orthogonal_(self.mean.weight, 0.01)
+        self.min_std, self.max_std = std_range if learn_std else (0.0, math.inf)
+        self.deviation = nn.Linear(size, joints, bias=False) if state_std else None
+        layers = [self.mean] if self.deviation is None else [self.mean, self.deviation]
+        for layer in layers:
+            nn.init.orthogonal_(layer.weight, 0.01)
         nn.init.zeros_(self.mean.bias)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """``loc`` and ``scale`` ``(*B, J)``."""
-        loc = self.mean(features)
-        return loc, self.log_std.exp().clamp_min(self.min_std).expand_as(loc)
+        loc, log_std = self.mean(features), self.log_std
+        if self.deviation is not None:
+            log_std = log_std + self.deviation(features)
+        return loc, log_std.exp().clamp(self.min_std, self.max_std).expand_as(loc)
 
 
 class MixtureHead(nn.Module):
     """Three numbers per component and joint: mean, raw standard deviation, logit.
 
-    ``std = min(softplus(raw) + 0.01, 1)``.
+    ``std = min(softplus(raw) + floor, cap)``, with the ``std_range`` (floor, cap).
 
     Args:
         size: length of the features.
@@ -63,35 +74,44 @@ class MixtureHead(nn.Module):
         components: number of Gaussians K per joint.
         std: standard deviation at the start, in units of the action.
         spread: distance between the components' means at the start, for them to tell apart.
+        std_range: smallest and largest standard deviation.
     """
 
     keys = ("logits", "loc", "scale")
     distribution = MixtureOfGaussians
 
     def __init__(
-        self, size: int, joints: int, *, components: int = 3, std: float = 0.5, spread: float = 0.2
+        self,
+        size: int,
+        joints: int,
+        *,
+        components: int = 3,
+        std: float = 0.5,
+        spread: float = 0.2,
+        std_range: Sequence[float] = (0.01, 1.0),
     ):
         super().__init__()
+        self.min_std, self.max_std = std_range
         self.shape = (3, joints, components)
         self.linear = nn.Linear(size, 3 * joints * components)
         nn.init.orthogonal_(self.linear.weight, 0.01)
         bias = torch.zeros(self.shape)
         bias[0] = spread * (torch.arange(components) - (components - 1) / 2)
-        bias[1] = math.log(math.expm1(std - 0.01))  # softplus gives std - 0.01
+        bias[1] = math.log(math.expm1(std - self.min_std))  # softplus gives the rest
         with torch.no_grad():
             self.linear.bias.copy_(bias.flatten())
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """``logits``, ``loc`` and ``scale`` ``(*B, J, K)``."""
         loc, raw, logits = self.linear(features).unflatten(-1, self.shape).unbind(-3)
-        scale = (nn.functional.softplus(raw) + 0.01).clamp_max(1.0)
+        scale = (nn.functional.softplus(raw) + self.min_std).clamp_max(self.max_std)
         return logits, loc, scale
 
 
 class SharedMixtureHead(nn.Module):
     """A logit for each component; a mean and a raw standard deviation for it and every joint.
 
-    ``std = min(softplus(raw) + 0.01, 1)``. The means differ at the start by random biases: all
+    ``std = min(softplus(raw) + floor, cap)``, with the ``std_range`` (floor, cap). The means differ at the start by random biases: all
     joints of a component belong together, and no way to act comes first.
 
     Args:
@@ -100,21 +120,30 @@ class SharedMixtureHead(nn.Module):
         components: number of Gaussians K over all joints.
         std: standard deviation at the start, in units of the action.
         spread: standard deviation of the components' means at the start.
+        std_range: smallest and largest standard deviation.
     """
 
     keys = ("logits", "loc", "scale")
     distribution = SharedMixtureOfGaussians
 
     def __init__(
-        self, size: int, joints: int, *, components: int = 3, std: float = 0.5, spread: float = 0.1
+        self,
+        size: int,
+        joints: int,
+        *,
+        components: int = 3,
+        std: float = 0.5,
+        spread: float = 0.1,
+        std_range: Sequence[float] = (0.01, 1.0),
     ):
         super().__init__()
+        self.min_std, self.max_std = std_range
         self.shape = (2, components, joints)
         self.logits = nn.Linear(size, components)
         self.linear = nn.Linear(size, 2 * components * joints)
         bias = torch.zeros(self.shape)
         bias[0] = spread * torch.randn(components, joints)
-        bias[1] = math.log(math.expm1(std - 0.01))  # softplus gives std - 0.01
+        bias[1] = math.log(math.expm1(std - self.min_std))  # softplus gives the rest
         for layer in (self.logits, self.linear):
             nn.init.orthogonal_(layer.weight, 0.01)
         with torch.no_grad():
@@ -124,7 +153,7 @@ class SharedMixtureHead(nn.Module):
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """``logits`` ``(*B, K)``, ``loc`` and ``scale`` ``(*B, K, J)``."""
         loc, raw = self.linear(features).unflatten(-1, self.shape).unbind(-3)
-        scale = (nn.functional.softplus(raw) + 0.01).clamp_max(1.0)
+        scale = (nn.functional.softplus(raw) + self.min_std).clamp_max(self.max_std)
         return self.logits(features), loc, scale
 
 
@@ -134,21 +163,36 @@ Head = GaussianHead | MixtureHead | SharedMixtureHead
 def make_head(
     size: int,
     joints: int,
-    components: int,
-    std: float,
-    learn_std: bool = True,
+    *,
+    components: int = 0,
     shared_components: bool = False,
+    std: float = 0.5,
+    learn_std: bool = True,
+    state_std: bool = False,
+    std_range: Sequence[float] | None = None,
 ) -> Head:
     """A Gaussian head for no component, else a mixture of so many.
 
     Raises:
-        ValueError: if the deviation of a mixture is to be fixed, or no component to be shared.
+        ValueError: if the deviation of a mixture is to be fixed, or no component to be shared, or
+            the deviation lies outside of its range.
     """
+    known: dict[str, Any] = {"std": std}
+    if std_range is not None:
+        low, high = std_range
+        if not 0 < low < high:
+            raise ValueError(f"std_range must be [floor, cap], 0 < floor < cap, got {[low, high]}.")
+        known["std_range"] = (low, high)
+    low, high = known.get("std_range", (0.01, 1.0) if components else (0.0, math.inf))
+    if not low < std <= high:
+        raise ValueError(f"std must lie above the floor {low} and not over {high}, got {std}.")
     if components == 0:
         if shared_components:
             raise ValueError("shared_components needs components, got 0 of them.")
-        return GaussianHead(size, joints, std=std, learn_std=learn_std)
+        if state_std and not learn_std:
+            raise ValueError("learn_std must be true with state_std, got false.")
+        return GaussianHead(size, joints, learn_std=learn_std, state_std=state_std, **known)
     if not learn_std:
         raise ValueError(f"learn_std must be true with components, got {components} of them.")
     head = SharedMixtureHead if shared_components else MixtureHead
-    return head(size, joints, components=components, std=std)
+    return head(size, joints, components=components, **known)
