@@ -84,7 +84,9 @@ def test_sigma_is_in_deviations_of_the_observation():
     loss.normalizer.update(
         torch.tensor([1.0, 10.0, 0.1, 5.0, 2.0]) * torch.randn(100_000, OBSERVED)
     )
-    noise = loss._neighbour(torch.zeros(100_000, OBSERVED))
+    noise = loss._neighbour(
+        TensorDict({"observation": torch.zeros(100_000, OBSERVED)}, [100_000])
+    )
     expected = torch.tensor([0.1, 1.0, 0.01, 0.5, 0.2])
     assert_close(noise.std(0), expected, rtol=0.03, atol=0)
 
@@ -182,3 +184,20 @@ def test_actions_of_a_mixture_of_shared_components_are_refused():
     actor = mlp_actor(spec, Unbounded((1, JOINTS)), components=2, shared_components=True)
     with pytest.raises(ValueError, match="on_actions must be false for a mixture of shared"):
         CAPSLoss(actor, on_actions=True)
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_neighbours_of_the_batch_are_taken_in_place_of_drawn_ones(recurrent):
+    """Neighbours at the observation itself cost nothing, however large sigma is."""
+    spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+    build = gru_actor if recurrent else mlp_actor
+    actor = build(spec, Unbounded((1, JOINTS)))
+    batch = transitions(12)
+    batch["near"] = batch["observation"].clone()
+    if recurrent:
+        batch["is_init"] = torch.zeros(12, 1, dtype=torch.bool)
+        batch["recurrent_state_actor"] = torch.zeros(12, 3, 64)
+        batch = batch.reshape(3, 4)
+    assert CAPSLoss(actor, sigma=9.0, neighbour_key="near")(batch)["loss_spatial"] < 1e-9
+    batch["near"] = batch["near"] + 1.0
+    assert CAPSLoss(actor, sigma=0.0, neighbour_key="near")(batch)["loss_spatial"] > 1e-9

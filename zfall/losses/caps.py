@@ -48,6 +48,8 @@ class CAPSLoss(LossModule):
             leaves those that are not named as they are.
         temporal_norm, spatial_norm: ``l1``, ``l2`` or ``squared_l2``.
         on_actions: whether mu is a draw from the policy instead.
+        neighbour_key: where the batch holds the changed observation, from ``CAPSNeighbours`` for
+            instance; ``None``: it is drawn here.
 
     Raises:
         ValueError: on a negative value, an unknown norm or name, or actions of a policy that has
@@ -73,6 +75,7 @@ class CAPSLoss(LossModule):
         temporal_norm: str = "l1",
         spatial_norm: str = "squared_l2",
         on_actions: bool = False,
+        neighbour_key: str | None = None,
     ):
         super().__init__()
         values = sigma.values() if isinstance(sigma, Mapping) else [sigma]
@@ -95,6 +98,9 @@ class CAPSLoss(LossModule):
         self.in_keys = list(actor_network.in_keys)
         if not self.recurrent:
             self.in_keys.append(("next", "observation"))
+        self.neighbour_key = neighbour_key
+        if neighbour_key is not None:
+            self.in_keys.append(neighbour_key)
         self.normalizer = normalizer_of(actor_network)
         self.sigma = _spread(sigma, spans or {})
 
@@ -111,20 +117,19 @@ class CAPSLoss(LossModule):
 
     def _feed_forward(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         here, after = batch["observation"], batch["next", "observation"]
-        together = torch.stack([here, after, self._neighbour(here)])
+        together = torch.stack([here, after, self._neighbour(batch)])
         mu = self._act(TensorDict({"observation": together}, together.shape[:2]))
         temporal = self.temporal_norm(mu[0] - mu[1]).mean()
         return temporal, self.spatial_norm(mu[0] - mu[2]).mean()
 
     def _recurrent(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        batch = batch.select(*self.actor_network.in_keys)
         with set_recurrent_mode(True):
-            mu = self._act(batch)
+            mu = self._act(batch.select(*self.actor_network.in_keys))
         follows = ~batch["is_init"][:, 1:, 0]
         change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
         steps = batch.reshape(-1)
-        near = steps.copy().set("observation", self._neighbour(steps["observation"]))
-        pair = torch.stack([steps, near])
+        near = steps.copy().set("observation", self._neighbour(steps))
+        pair = torch.stack([steps, near]).select(*self.actor_network.in_keys)
         with set_recurrent_mode(False):
             mu = self._act(pair.reshape(-1)).unflatten(0, (2, -1))
         spatial = self.spatial_norm(mu[0] - mu[1]).mean()
@@ -136,7 +141,10 @@ class CAPSLoss(LossModule):
             return distribution.rsample()
         return distribution.deterministic_sample
 
-    def _neighbour(self, observation: Tensor) -> Tensor:
+    def _neighbour(self, batch: TensorDictBase) -> Tensor:
+        if self.neighbour_key is not None:
+            return batch[self.neighbour_key]
+        observation = batch["observation"]
         noise = torch.randn_like(observation) * self.sigma
         return observation + (noise if self.normalizer is None else noise * self.normalizer.scale)
 

@@ -15,6 +15,7 @@ from zfall.envs.transforms.observations.bias import ObservationBias, Observation
 from zfall.envs.transforms.observations.delay import ObservationDelay
 from zfall.envs.transforms.observations.derived import BasePose, FeetInBase, ImuOrientation
 from zfall.envs.transforms.observations.dropout import ObservationDropout
+from zfall.envs.transforms.observations.neighbours import CAPSNeighbours
 from zfall.envs.transforms.observations.noise import ObservationNoise
 from zfall.envs.transforms.observations.normalized import NormalizedVector
 from zfall.envs.transforms.observations.quantization import Quantization
@@ -23,6 +24,7 @@ from zfall.envs.transforms.observations.vector import ObservationVector
 
 __all__ = [
     "BasePose",
+    "CAPSNeighbours",
     "FeetInBase",
     "ImuOrientation",
     "NormalizedVector",

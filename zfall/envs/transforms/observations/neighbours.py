@@ -1,0 +1,82 @@
+"""Observations close by, for losses that compare a policy with itself."""
+
+from collections.abc import Mapping
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.observations.vector import vector_spans
+from zfall.envs.transforms.values import check_not_negative
+
+
+class CAPSNeighbours(Transform):
+    """Adds to each observation one that is close to it, ``o + sigma * N(0, 1)``.
+
+    For those who want the spatial pairs of CAPS in the data: stands after the observation's
+    vector in a table, or in a replay buffer, where it draws anew at every sample
+    (``buffer.append_transform``). ``CAPSLoss(neighbour_key=...)`` takes them from there in place of
+    drawing its own.
+
+    Keys: reads ``observation`` ``(N, D)``, writes ``observation_neighbour`` ``(N, D)``.
+
+    Args:
+        env: the base env, whose generator draws; ``None`` for torch's global one.
+        sigma: standard deviation of every component, in the observation's own units; or by name
+            of a quantity, which leaves the others as they are.
+        keys: quantities of the observation in their order, for a ``sigma`` by name.
+
+    Raises:
+        ValueError: on a negative sigma, or one that names what is not in ``keys``.
+
+    Source: Mysore et al., "Regularizing action policies for smooth control with reinforcement
+    learning", ICRA 2021.
+    """
+
+    def __init__(
+        self,
+        env: HumanoidEnv | None = None,
+        *,
+        sigma: float | Mapping[str, float],
+        keys: list[str] | None = None,
+    ):
+        super().__init__(in_keys=["observation"], out_keys=["observation_neighbour"])
+        named = dict(sigma) if isinstance(sigma, Mapping) else {"sigma": sigma}
+        check_not_negative("sigma", named)
+        unknown = [name for name in named if name not in (keys or [])]
+        if isinstance(sigma, Mapping) and unknown:
+            raise ValueError(
+                f"sigma must name quantities of keys ({', '.join(keys or [])}), got {unknown[0]}."
+            )
+        self.sigma, self.keys = sigma, keys or []
+        self.rng = None if env is None else env.rng
+        self.register_buffer("spread", torch.zeros(()))
+        if not isinstance(sigma, Mapping):
+            self.spread = torch.tensor(float(sigma))
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        observation: Tensor = next_tensordict["observation"]
+        noise = torch.randn(observation.shape, generator=self.rng)
+        return next_tensordict.set("observation_neighbour", observation + self.spread * noise)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The same for a sampled batch ``(*B, D)``."""
+        return self._call(tensordict)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        spec = observation_spec["observation"]
+        observation_spec["observation_neighbour"] = Unbounded(spec.shape)
+        if isinstance(self.sigma, Mapping):
+            self.spread = torch.zeros(spec.shape[-1])
+            spans = vector_spans(observation_spec, self.keys)
+            for name, value in self.sigma.items():
+                self.spread[spans[name]] = value
+        return observation_spec
