@@ -222,7 +222,7 @@ def append_row(path: Path, row: dict[str, Any]) -> None:
     """Adds a row to a csv file, with a header if it is the first."""
     new = not path.exists()
     with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(row))
+        writer = csv.DictWriter(file, fieldnames=list(row), lineterminator="\n")
         if new:
             writer.writeheader()
         writer.writerow(row)

@@ -144,7 +144,7 @@ def test_pairs_of_a_recurrent_policy_follow_the_sequence_but_not_across_episodes
 def test_both_of_a_spatial_pair_of_a_recurrent_policy_have_the_same_memory(recurrent, monkeypatch):
     actor, batch = recurrent
     caps = CAPSLoss(actor, spatial_coeff=1.0)
-    monkeypatch.setattr(caps, "_neighbour", lambda observation: observation + 0.3)
+    monkeypatch.setattr(caps, "_neighbour", lambda steps: steps["observation"] + 0.3)
     loss = caps(batch.exclude("mean"))["loss_spatial"]
     moved = []
     for n in range(6):

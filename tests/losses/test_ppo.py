@@ -51,7 +51,7 @@ def test_without_penalty_and_bound_it_is_the_clipped_loss(components, value_clip
     expected = ClipPPOLoss(actor, critic, clip_value=value_clip, **COMMON)(batch)
     torch.manual_seed(1)
     out = PenalizedPPOLoss(actor, critic, value_clip=value_clip, **COMMON)(batch)
-    assert out.sorted_keys == expected.sorted_keys
+    assert set(out.keys()) == {*expected.keys(), "kl"}
     for key, value in expected.items():
         assert torch.equal(out[key], value), key
 
@@ -64,7 +64,7 @@ def test_the_penalty_leaves_the_other_losses_as_they_are():
     loss = PenalizedPPOLoss(actor, critic, kl_coeff=0.2, **COMMON)
     out, plain = loss(batch), ClipPPOLoss(actor, critic, **COMMON)(batch)
     assert set(loss.out_keys) >= {"loss_kl", "kl_coeff"}
-    assert set(out.keys()) == {*plain.keys(), "loss_kl", "kl_coeff"}
+    assert set(out.keys()) == {*plain.keys(), "kl", "loss_kl", "kl_coeff"}
     for key, value in plain.items():
         assert torch.equal(out[key], value), key
 
@@ -174,3 +174,18 @@ def test_value_error_clip_bounds_the_squared_error(target, expected):
 def test_values_out_of_range_are_refused(values, message):
     with pytest.raises(ValueError, match=message):
         penalty(**values)
+
+
+def test_divergence_is_that_of_the_samples_that_are_not_mirrored():
+    spec, action_spec = specs()
+    actor, critic = mlp_actor(spec, action_spec), mlp_critic(spec)
+    loss = PenalizedPPOLoss(actor, critic, kl_coeff=2.0, **COMMON)
+    batch = collected(actor, 64)
+    move(actor, 0.05)
+    kept = torch.arange(64) % 3 > 0
+    alone = loss(batch[kept])
+    assert alone["kl"] > 1e-3
+    out = loss(batch.clone().set("mirrored", ~kept))
+    for key in ("kl", "loss_kl"):
+        assert_close(out[key], alone[key])
+    assert not torch.isclose(loss(batch)["kl"], alone["kl"], rtol=1e-3)

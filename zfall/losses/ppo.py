@@ -31,7 +31,10 @@ class PenalizedPPOLoss(ClipPPOLoss):
 
     Without the three it is ``ClipPPOLoss``.
 
-    Keys: as ``ClipPPOLoss``; with a penalty also writes ``loss_kl`` and ``kl_coeff`` ``()``.
+    Keys: as ``ClipPPOLoss``; also writes ``kl`` ``()``, the mean of ``r - 1 - log r``, and with a
+    penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says which samples are ``mirrored``
+    ``(B, ...)`` bool, the divergence is that of the others: the policy of collection did not
+    draw the mirrored ones.
 
     Args:
         actor_network, critic_network: as for ``ClipPPOLoss``, and further values of it.
@@ -78,16 +81,21 @@ class PenalizedPPOLoss(ClipPPOLoss):
         self.kl_target, self.value_error_clip = kl_target, value_error_clip
         self.register_buffer("kl_coeff", torch.tensor(float(kl_coeff)))
         self.penalized = kl_coeff > 0
+        self.out_keys = [*self.out_keys, "kl"]
         if self.penalized:
-            self.out_keys = [*self.out_keys, "loss_kl", "kl_coeff"]
+            self.out_keys += ["loss_kl", "kl_coeff"]
         self._log_ratio: Any = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Losses and figures of a batch, each ``()``."""
         out = super().forward(tensordict)
         log_ratio, self._log_ratio = self._log_ratio, None
+        mirrored = tensordict.get("mirrored", None)
+        if mirrored is not None:
+            log_ratio = log_ratio[~mirrored]
+        divergence = (log_ratio.exp() - 1 - log_ratio).mean()
+        out.set("kl", divergence.detach())
         if self.penalized:
-            divergence = (log_ratio.exp() - 1 - log_ratio).mean()
             out.set("loss_kl", self.kl_coeff * divergence)
             out.set("kl_coeff", self.kl_coeff.clone())
         return out

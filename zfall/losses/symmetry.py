@@ -82,6 +82,9 @@ class SymmetryAugmentation(nn.Module):
     network would have there, see ``MirroredMemory``. A share of one half is unbiased between left
     and right, and costs nothing.
 
+    Keys: reflects those of the mirrors, also under ``"next"``; writes ``mirrored`` ``(B, ...)`` bool,
+    by which ``PenalizedPPOLoss`` leaves images out of the divergence.
+
     Args:
         networks: actor and critic.
         mirrors: of ``observation``, ``observation_critic`` and ``action``.
@@ -116,6 +119,7 @@ class SymmetryAugmentation(nn.Module):
         """A new minibatch ``(B, ...)`` or ``(N, T, ...)``, mirrored in part."""
         rows = torch.rand(len(tensordict)) < self.share
         out = tensordict.copy()
+        out["mirrored"] = rows.reshape(-1, *[1] * (tensordict.dim() - 1)).expand(tensordict.shape)
         for key, mirror in self.mirrors.items():
             for place in (key, ("next", key)):
                 if (value := tensordict.get(place, None)) is not None:

@@ -27,7 +27,8 @@ class CAPSNeighbours(Transform):
         env: the base env, whose generator draws; ``None`` for torch's global one.
         sigma: standard deviation of every component, in the observation's own units; or by name
             of a quantity, which leaves the others as they are.
-        keys: quantities of the observation in their order, for a ``sigma`` by name.
+        keys: quantities of the observation in their order, for a ``sigma`` by name; they are to
+            stand in the data beside it.
 
     Raises:
         ValueError: on a negative sigma, or one that names what is not in ``keys``.
@@ -53,12 +54,15 @@ class CAPSNeighbours(Transform):
             )
         self.sigma, self.keys = sigma, keys or []
         self.rng = None if env is None else env.rng
-        self.register_buffer("spread", torch.zeros(()))
-        if not isinstance(sigma, Mapping):
-            self.spread = torch.tensor(float(sigma))
+        self.spread: float | Tensor | None = None if isinstance(sigma, Mapping) else float(sigma)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         observation: Tensor = next_tensordict["observation"]
+        if self.spread is None:
+            self.spread = torch.zeros(observation.shape[-1])
+            spans = vector_spans(next_tensordict, self.keys)
+            for name, value in self.sigma.items():
+                self.spread[spans[name]] = value
         noise = torch.randn(observation.shape, generator=self.rng)
         return next_tensordict.set("observation_neighbour", observation + self.spread * noise)
 
@@ -74,9 +78,4 @@ class CAPSNeighbours(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         spec = observation_spec["observation"]
         observation_spec["observation_neighbour"] = Unbounded(spec.shape)
-        if isinstance(self.sigma, Mapping):
-            self.spread = torch.zeros(spec.shape[-1])
-            spans = vector_spans(observation_spec, self.keys)
-            for name, value in self.sigma.items():
-                self.spread[spans[name]] = value
         return observation_spec
