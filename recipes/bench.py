@@ -24,6 +24,7 @@ from recipes.peers import measure_peers
 from zfall.envs.threads import physics_first
 
 FULL = "env=push_recovery_realistic"  # every kind of transform at once
+LOSSES = ["caps=atalante", "symmetry=loss"]  # beside PPO's
 ROUNDS = 4  # every figure is measured in turn, several times: the machine's speed drifts
 
 
@@ -40,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():
-        speed = not key.startswith("transform/") and not key.endswith("_efficiency")
+        speed = not key.startswith(("transform/", "loss/")) and not key.endswith("_efficiency")
         out.add_row(key, f"{value:.0f} control steps/s" if speed else f"{value:.3f}")
     console.print(out, f"wrote {folder}/bench.json")
 
@@ -50,9 +51,11 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     overrides = [f"{k}={cfg[k]}" for k in ("num_envs", "rollout_steps", "seed")]
     mlp = Learner(compose("train", overrides=overrides))
     gru = Learner(compose("train", overrides=[*overrides, "actor=gru_mog"]))
+    mlp_losses = Learner(compose("train", overrides=[*overrides, *LOSSES]))
+    gru_losses = Learner(compose("train", overrides=[*overrides, *LOSSES, "actor=gru_mog"]))
     env = instantiate(compose("train", overrides=overrides).env)
-    mlp.learn(mlp.collect())  # warm up, and have a policy that moves
-    gru.learn(gru.collect())
+    for learner in (mlp, gru, mlp_losses, gru_losses):  # warm up, and have policies that move
+        learner.learn(learner.collect())
     full = instantiate(compose("train", overrides=[*overrides, FULL]).env)
     stepper, full_stepper = EnvStepper(env, mlp), EnvStepper(full, mlp)
     recorded, full_recorded = stepper.record(), full_stepper.record()
@@ -63,6 +66,8 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
         "env_full": full_stepper.run,
         "train_mlp": lambda seconds: train(mlp, seconds),
         "train_gru": lambda seconds: train(gru, seconds),
+        "train_mlp_losses": lambda seconds: train(mlp_losses, seconds),
+        "train_gru_losses": lambda seconds: train(gru_losses, seconds),
     }
     speeds: dict[str, list[float]] = {name: [] for name in tasks}
     for turn in range(ROUNDS):
@@ -70,10 +75,13 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
             report(f"{name}, {turn + 1} of {ROUNDS}")
             speeds[name].append(task(cfg.seconds / ROUNDS))
     results = {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
-    for name in ("env", "train_mlp", "train_gru"):
+    for name in ("env", *(name for name in tasks if name.startswith("train"))):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
     # Its physics has a ball too, that rests on the floor of every world.
     results["env_full_efficiency"] = results["env_full"] / results["limit_full"]
+    report("losses")
+    for name, learner in (("mlp", mlp_losses), ("gru", gru_losses)):
+        results |= {f"loss/{k}_{name}": v for k, v in loss_shares(learner).items()}
     report("transforms")
     results |= full_stepper.transform_shares(cfg.seconds / 2)
     if cfg.peers:
@@ -108,6 +116,26 @@ def train(learner: Learner, seconds: float) -> float:
     while time.perf_counter() - began < seconds:
         learner.learn(learner.collect())
     return (learner.frames - frames) / (time.perf_counter() - began)
+
+
+def loss_shares(learner: Learner, rounds: int = 4) -> dict[str, float]:
+    """What each loss beside PPO's adds to the time of an update, as a share of that without."""
+    batch = learner.collect()
+    losses = dict(zip(learner.cfg.auxiliary_losses, learner.auxiliary, strict=True))
+    variants = {"": [], **{name: [loss] for name, loss in losses.items()}}
+    spent = dict.fromkeys(variants, 0.0)
+    for _ in range(rounds):
+        for name, auxiliary in variants.items():
+            learner.auxiliary = auxiliary
+            began = time.perf_counter()
+            learner.learn(batch.clone())
+            spent[name] += time.perf_counter() - began
+    learner.auxiliary = list(losses.values())
+    began = time.perf_counter()
+    for _ in range(rounds):
+        learner.collect()
+    update = time.perf_counter() - began + spent[""]
+    return {name: (spent[name] - spent[""]) / update for name in losses}
 
 
 class EnvStepper:

@@ -14,7 +14,6 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
-from torchrl.objectives import LossModule
 from torchrl.objectives.value import GAE
 
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
@@ -57,7 +56,9 @@ class Learner:
         if not 0 <= cfg.averaging < 1:
             raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
         self._average = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.averaging))
-        shared = {"normalize": normalizer_of(self.actor)} if cfg.critic.normalize == "shared" else {}
+        shared = (
+            {"normalize": normalizer_of(self.actor)} if cfg.critic.normalize == "shared" else {}
+        )
         self.critic = instantiate(cfg.critic, spec, **shared)
         self.auxiliary = [self._build(loss, self.actor) for loss in cfg.auxiliary_losses.values()]
         self.augmentation = None
@@ -142,7 +143,9 @@ class Learner:
         spans, vector = self._spans(key)
         size = self.env.observation_spec[key].shape[-1]
         if max((span.stop for span in spans.values()), default=0) != size:
-            raise ValueError(f"a mirrored {key} must be one vector of quantities, got {size} values.")
+            raise ValueError(
+                f"a mirrored {key} must be one vector of quantities, got {size} values."
+            )
         return mirror_vector(base.robot, spans, base.joint_range, getattr(vector, "affine", None))
 
     @property
@@ -178,8 +181,9 @@ class Learner:
         if not self._recurrent:
             data = data.reshape(-1)  # else a minibatch holds whole sequences
         size = -(-len(data) // cfg.minibatches)
-        for passes in range(1, cfg.epochs + 1):
-            outputs = []
+        passes = 0
+        for _ in range(cfg.epochs):
+            passes, outputs = passes + 1, []
             for rows in torch.randperm(len(data)).split(size):
                 part = data[rows]
                 if self.augmentation is not None:
@@ -247,9 +251,7 @@ class Learner:
         self.frames, self.updates = state["frames"], state["updates"]
 
 
-def burnt_in(
-    batch: TensorDictBase, networks: Iterable[torch.nn.Module], steps: int
-) -> TensorDictBase:
+def burnt_in(batch: TensorDictBase, networks: Iterable[Any], steps: int) -> TensorDictBase:
     """Sequences ``(N, T, ...)`` without their first steps, which only refresh the memory.
 
     The memory that was stored is that of weights that have changed since; what these networks

@@ -21,7 +21,10 @@ def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "bench.json").read_text())
     assert {"limit", "env", "env_efficiency", "train_mlp_efficiency"} <= figures.keys()
-    assert all(isinstance(value, float) and value >= 0 for value in figures.values())
+    costs = {f"loss/{loss}_{actor}" for loss in ("caps", "symmetry") for actor in ("mlp", "gru")}
+    assert costs <= figures.keys()  # so short a measurement may find one below 0
+    assert all(isinstance(value, float) for value in figures.values())
+    assert all(value >= 0 for key, value in figures.items() if key not in costs)
     assert figures["env_efficiency"] == pytest.approx(figures["env"] / figures["limit"])
     shares = [value for key, value in figures.items() if key.startswith("transform/")]
     assert 0 < sum(shares) < 1

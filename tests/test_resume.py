@@ -49,7 +49,9 @@ def test_a_run_killed_again_and_again_equals_the_one_left_alone(actor, tmp_path)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["recipes.train"])
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    alone = context.Process(target=train, args=([*COMMON, f"actor={actor}", f"hydra.run.dir={whole}"],))
+    alone = context.Process(
+        target=train, args=([*COMMON, f"actor={actor}", f"hydra.run.dir={whole}"],)
+    )
     alone.start()
     alone.join()
     assert alone.exitcode == 0
@@ -71,8 +73,9 @@ def test_a_run_killed_again_and_again_equals_the_one_left_alone(actor, tmp_path)
     last.join()
     assert last.exitcode == 0
     assert (parts / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-    left, right = (
-        checkpoint.load(folder / "checkpoints" / "last.pt") for folder in (parts, whole)
-    )
+    left, right = (checkpoint.load(folder / "checkpoints" / "last.pt") for folder in (parts, whole))
     assert left["updates"] == UPDATES
-    assert same({k: v for k, v in left.items() if k != "config"}, {k: right[k] for k in left if k != "config"})
+    assert same(
+        {k: v for k, v in left.items() if k != "config"},
+        {k: right[k] for k in left if k != "config"},
+    )

@@ -41,7 +41,9 @@ def reflect(name: str, value: torch.Tensor) -> torch.Tensor:
     return flat.reshape(value.shape)
 
 
-def rollout(start: dict[str, torch.Tensor], target: torch.Tensor, force: torch.Tensor) -> TensorDict:
+def rollout(
+    start: dict[str, torch.Tensor], target: torch.Tensor, force: torch.Tensor
+) -> TensorDict:
     """Two control steps of some worlds, pushed at the torso."""
     env = HumanoidEnv(num_envs=len(target), control_dt=0.02, threads=1)
     td = env.reset(TensorDict({"start": start}, [len(target)]))

@@ -84,9 +84,7 @@ def test_sigma_is_in_deviations_of_the_observation():
     loss.normalizer.update(
         torch.tensor([1.0, 10.0, 0.1, 5.0, 2.0]) * torch.randn(100_000, OBSERVED)
     )
-    noise = loss._neighbour(
-        TensorDict({"observation": torch.zeros(100_000, OBSERVED)}, [100_000])
-    )
+    noise = loss._neighbour(TensorDict({"observation": torch.zeros(100_000, OBSERVED)}, [100_000]))
     expected = torch.tensor([0.1, 1.0, 0.01, 0.5, 0.2])
     assert_close(noise.std(0), expected, rtol=0.03, atol=0)
 

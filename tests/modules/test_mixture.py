@@ -195,3 +195,29 @@ def test_policy_without_exploration_gives_the_chosen_statistic(shared_components
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         action = actor(td.clone())["action"]
     assert_close(action, getattr(actor.get_dist(td), statistic))
+
+
+def test_compiled_it_is_the_same():
+    """In one graph, without a break; traced, but not translated to C++, which takes a minute."""
+
+    def figures(logits, loc, scale, value):
+        dist = MixtureOfGaussians(logits, loc, scale)
+        return (
+            dist.log_prob(value),
+            dist.mean,
+            dist.variance,
+            dist.mode,
+            dist.entropy(),
+            dist.cdf(value),
+            dist.kl(dist),
+        )
+
+    args = (
+        torch.randn((6, 4, 3)),
+        torch.randn((6, 4, 3)),
+        torch.rand((6, 4, 3)) + 0.05,
+        torch.randn(6, 4),
+    )
+    compiled = torch.compile(figures, backend="aot_eager", fullgraph=True)
+    for value, expected in zip(compiled(*args), figures(*args), strict=True):
+        assert_close(value, expected)

@@ -92,3 +92,21 @@ def test_shared_mixture_estimates_are_without_bias():
     estimates = SharedMixtureOfGaussians(logits, loc, scale).entropy()
     error = estimates.std().item() / 20_000**0.5
     assert estimates.mean().item() == pytest.approx(exact, abs=5 * error)
+
+
+def test_compiled_it_is_the_same():
+    """In one graph, without a break; traced, but not translated to C++, which takes a minute."""
+
+    def figures(logits, loc, scale, value):
+        dist = SharedMixtureOfGaussians(logits, loc, scale)
+        return dist.log_prob(value), dist.mean, dist.variance, dist.mode
+
+    args = (
+        torch.randn((6, 3)),
+        torch.randn((6, 3, 4)),
+        torch.rand((6, 3, 4)) + 0.05,
+        torch.randn(6, 4),
+    )
+    compiled = torch.compile(figures, backend="aot_eager", fullgraph=True)
+    for value, expected in zip(compiled(*args), figures(*args), strict=True):
+        assert_close(value, expected)

@@ -46,6 +46,8 @@ class Mirror(nn.Module):
     index: Tensor
     factor: Tensor
     summand: Tensor
+    low: Tensor | None
+    high: Tensor | None
 
     def __init__(
         self,
@@ -139,7 +141,10 @@ def mirror_action(robot: Robot, size: int) -> Mirror:
     Raises:
         ValueError: on another size.
     """
-    for group in (tuple(range(len(robot.joints))), tuple(robot.joints.index(j) for j in robot.legs)):
+    for group in (
+        tuple(range(len(robot.joints))),
+        tuple(robot.joints.index(j) for j in robot.legs),
+    ):
         if len(group) == size:
             index = torch.tensor([group.index(robot.mirror_index[joint]) for joint in group])
             return Mirror(index, torch.tensor([robot.mirror_sign[joint] for joint in group]))

@@ -76,14 +76,14 @@ class SymmetryLoss(LossModule):
 class SymmetryAugmentation(nn.Module):
     """Puts the mirror image in the place of a share of the samples of a minibatch.
 
-    The image of a step is as likely under the mirrored policy, which would have gathered it, as the
-    step under that of collection, and is worth as much: log-probability, advantage and value
+    The image of a step is as likely under the mirrored policy, which would have gathered it, as
+    the step under that of collection, and is worth as much: log-probability, advantage and value
     stay. Of recurrent networks whole sequences are mirrored, and begin with the memory that the
     network would have there, see ``MirroredMemory``. A share of one half is unbiased between left
     and right, and costs nothing.
 
-    Keys: reflects those of the mirrors, also under ``"next"``; writes ``mirrored`` ``(B, ...)`` bool,
-    by which ``PenalizedPPOLoss`` leaves images out of the divergence.
+    Keys: reflects those of the mirrors, also under ``"next"``; writes ``mirrored`` ``(B, ...)``
+    bool, by which ``PenalizedPPOLoss`` leaves images out of the divergence.
 
     Args:
         networks: actor and critic.
@@ -175,9 +175,7 @@ class MirroredMemory(TensorDictModuleBase):
         )
 
 
-def memories(
-    networks: Iterable[Any], mirrors: Mapping[str, Mirror]
-) -> list[MirroredMemory]:
+def memories(networks: Iterable[Any], mirrors: Mapping[str, Mirror]) -> list[MirroredMemory]:
     """A mirrored memory for each of the networks that has one."""
     found = []
     for network in networks:

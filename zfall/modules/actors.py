@@ -31,9 +31,7 @@ def mlp_trunk(
         ValueError: on an unknown activation or initialization.
     """
     if initialization not in ("orthogonal", "default"):
-        raise ValueError(
-            f"initialization must be orthogonal or default, got {initialization!r}."
-        )
+        raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
     if activation not in _ACTIVATIONS:
         names = ", ".join(_ACTIVATIONS)
         raise ValueError(f"activation must be one of {names}, got {activation!r}.")

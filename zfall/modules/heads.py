@@ -111,8 +111,9 @@ class MixtureHead(nn.Module):
 class SharedMixtureHead(nn.Module):
     """A logit for each component; a mean and a raw standard deviation for it and every joint.
 
-    ``std = min(softplus(raw) + floor, cap)``, with the ``std_range`` (floor, cap). The means differ at the start by random biases: all
-    joints of a component belong together, and no way to act comes first.
+    ``std = min(softplus(raw) + floor, cap)``, with the ``std_range`` (floor, cap). The means differ
+    at the start by random biases: all joints of a component belong together, and no way to act
+    comes first.
 
     Args:
         size: length of the features.

@@ -11,6 +11,10 @@ HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 # Quadrature: panels between these distances from every mean, in its standard deviations.
 _EDGES = (-8.0, -5.0, -3.0, -1.5, 0.0, 1.5, 3.0, 5.0, 8.0)
 _ORDER, _ORDER_KL = 6, 24  # nodes of a panel; a log ratio bends where other's components cross
+# Lists, which torch.compile takes for constants.
+_LEGENDRE = {
+    n: [x.tolist() for x in np.polynomial.legendre.leggauss(n)] for n in (_ORDER, _ORDER_KL)
+}
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
 
@@ -181,6 +185,5 @@ def _panels(loc: Tensor, scale: Tensor, order: int = _ORDER) -> tuple[Tensor, Te
     at = loc.new_tensor(_EDGES).view(-1, 1, *[1] * (loc.dim() - 1))
     edges = (loc + at * scale).flatten(0, 1).sort(0).values
     half, middle = 0.5 * edges.diff(dim=0), 0.5 * (edges[1:] + edges[:-1])
-    points = np.polynomial.legendre.leggauss(order)
-    node, weight = (loc.new_tensor(x).view(-1, *[1] * loc.dim()) for x in points)
+    node, weight = (loc.new_tensor(x).view(-1, *[1] * loc.dim()) for x in _LEGENDRE[order])
     return (middle + half * node).flatten(0, 1), (half * weight).flatten(0, 1)

@@ -45,7 +45,10 @@ def test_a_replay_buffer_draws_new_ones_with_every_sample():
 
 @pytest.mark.parametrize(
     ("sigma", "message"),
-    [(-0.1, "sigma"), ({"weather": 0.1}, r"keys \(projected_gravity, joint_position\), got weather")],
+    [
+        (-0.1, "sigma"),
+        ({"weather": 0.1}, r"keys \(projected_gravity, joint_position\), got weather"),
+    ],
 )
 def test_faults(sigma, message):
     with pytest.raises(ValueError, match=message):

@@ -52,7 +52,7 @@ class CAPSNeighbours(Transform):
             raise ValueError(
                 f"sigma must name quantities of keys ({', '.join(keys or [])}), got {unknown[0]}."
             )
-        self.sigma, self.keys = sigma, keys or []
+        self.sigma, self.keys = named, keys or []
         self.rng = None if env is None else env.rng
         self.spread: float | Tensor | None = None if isinstance(sigma, Mapping) else float(sigma)
 

@@ -61,9 +61,7 @@ def _read_true(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
     return tensordict[key].float()
 
 
-def vector_spans(
-    spec: Composite | TensorDictBase, keys: Sequence[NestedKey]
-) -> dict[str, slice]:
+def vector_spans(spec: Composite | TensorDictBase, keys: Sequence[NestedKey]) -> dict[str, slice]:
     """Where each quantity lies in their vector; a nested key as ``outer/inner``."""
     spans, begin = {}, 0
     for key in keys:
