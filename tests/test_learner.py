@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 
-from recipes.learner import Learner
+from recipes.learner import Learner, burnt_in
 from zfall.modules.actors import normalizer_of
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
@@ -233,3 +233,103 @@ def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, a
         rough[weight] = caps_loss(learner.collect())
     for term in ("loss_temporal", "loss_spatial"):
         assert rough[3.0][term] < 0.7 * rough[0.0][term]
+
+
+def test_a_shared_normaliser_counts_every_observation_once(compose_config):
+    learner = Learner(
+        compose_config("num_envs=4", "rollout_steps=3", "env=atalante_standing", "critic.normalize=shared")
+    )  # fmt: skip
+    assert normalizer_of(learner.critic) is normalizer_of(learner.actor)
+    for _ in range(2):
+        learner.learn(learner.collect())
+    assert normalizer_of(learner.critic).count == 2 * 12
+
+
+def test_burn_in_starts_from_the_memory_of_the_present_weights(compose_config):
+    """After the weights have moved: what a replay of the whole sequence has from step 3 on."""
+    sizes = ("num_envs=6", "rollout_steps=8", "actor=gru_mog", "critic=gru")
+    learner = Learner(compose_config(*sizes, "env.transforms.limit.seconds=0.2"))
+    learner.collect()
+    batch = learner.collect().select(*learner._learned)
+    with torch.no_grad():
+        for parameter in learner.parameters:
+            parameter.add_(0.05 * torch.randn_like(parameter))
+    rest = burnt_in(batch, [learner.actor, learner.critic], 3)
+    assert rest.shape == (6, 5)
+    for network, out in ((learner.actor, "loc"), (learner.critic, "state_value")):
+        with torch.no_grad(), set_recurrent_mode(True):
+            if out == "loc":
+                whole, part = (network.get_dist(td.clone()).mean for td in (batch, rest))
+                stale = network.get_dist(batch[:, 3:].clone()).mean
+            else:
+                whole, part = (network(td.clone())[out] for td in (batch, rest))
+                stale = network(batch[:, 3:].clone())[out]
+        assert_close(part, whole[:, 3:], atol=1e-5, rtol=1e-5)
+        assert (stale - whole[:, 3:]).abs().max() > 1e-4
+    unmoved = batch[:, 3:]
+    assert torch.equal(rest["action"], unmoved["action"])
+
+
+def test_passes_end_when_the_policy_has_moved_far_enough(compose_config):
+    """A bound that the first pass exceeds, one that none does, and one in between."""
+    passes, kl = {}, {}
+    for stop in (1e-9, 1e9):
+        learner = Learner(compose_config("num_envs=16", "rollout_steps=8", f"loss.kl_stop={stop}"))
+        out = learner.learn(learner.collect())
+        passes[stop], kl[stop] = out["passes"], out["kl"]
+    assert passes == {1e-9: 1, 1e9: 5}
+    between = (kl[1e-9] + kl[1e9]) / 2
+    learner = Learner(compose_config("num_envs=16", "rollout_steps=8", f"loss.kl_stop={between}"))
+    assert 1 < learner.learn(learner.collect())["passes"] <= 5
+
+
+@pytest.mark.parametrize("over", ["batch", "minibatch", "null"])
+def test_advantages_are_normalised_over_what_is_asked(compose_config, over):
+    learner = Learner(
+        compose_config("num_envs=16", "rollout_steps=8", f"loss.normalize_advantage={over}")
+    )
+    seen = []
+    forward = learner.loss.forward
+    learner.loss.forward = lambda part: seen.append(part["advantage"].clone()) or forward(part)
+    learner.learn(learner.collect())
+    whole = torch.cat(seen[:2])  # the two minibatches of the first pass
+    assert learner.loss.normalize_advantage == (over == "minibatch")
+    normal = abs(whole.mean()) < 1e-5 and abs(whole.std() - 1) < 1e-3
+    assert normal == (over == "batch")
+
+
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
+    """The error of mirror images after some updates, with and without either way."""
+    error = {}
+    for name in ("none", "loss", "augmentation"):
+        learner = Learner(
+            compose_config("num_envs=16", "rollout_steps=8", f"actor={actor}", f"symmetry={name}")
+        )
+        if name == "loss":
+            learner.auxiliary[0].coeff = 3.0
+        for _ in range(5):
+            losses = learner.learn(learner.collect())
+        assert ("loss_symmetry" in losses) == (name == "loss")
+        measure = Learner(
+            compose_config("num_envs=16", "rollout_steps=8", f"actor={actor}", "symmetry=loss")
+        )
+        measure.actor.load_state_dict(learner.actor.state_dict())
+        error[name] = measure.auxiliary[0](measure.collect())["loss_symmetry"].item()
+    assert error["loss"] < 0.3 * error["none"]
+    assert error["augmentation"] < error["none"]
+
+
+FAULTS = [
+    (["burn_in=8"], r"burn_in must lie in \[0, rollout_steps\), got 8"),
+    (["burn_in=2"], "burn_in must be 0 without memory to refresh, got 2"),
+    (["loss.normalize_advantage=epoch"], "must be minibatch, batch or null, got epoch"),
+    (["symmetry=loss", "env=zeroth_fall", "+env.transforms.stack={_target_: torchrl.envs.CatFrames, N: 2, dim: -1, in_keys: [observation], out_keys: [observation]}"],
+     "a mirrored observation must be one vector"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("overrides", "message"), FAULTS, ids=[o[0] for o, _ in FAULTS])
+def test_faults_are_refused_before_the_first_step(compose_config, overrides, message):
+    with pytest.raises(ValueError, match=message):
+        Learner(compose_config("num_envs=4", "rollout_steps=8", *overrides))

@@ -102,6 +102,12 @@ def test_without_a_normaliser_the_observation_goes_in_as_it_is(build):
         ({"activation": "gelu"}, "activation must be one of elu, relu, tanh, got 'gelu'"),
         ({"components": 3, "learn_std": False}, "learn_std must be true with components, got 3"),
         ({"statistic": "median"}, "statistic must be mean or mode, got 'median'"),
+        ({"initialization": "zeros"}, "initialization must be orthogonal or default, got 'zeros'"),
+        ({"state_std": True, "learn_std": False}, "learn_std must be true with state_std"),
+        ({"shared_components": True}, "shared_components needs components"),
+        ({"std_range": [0.3, 0.1]}, r"std_range must be \[floor, cap\]"),
+        ({"std": 0.1, "std_range": [0.2, 0.5]}, "std must lie above the floor 0.2"),
+        ({"std": 1.2, "components": 2}, "not over 1.0, got 1.2"),
     ],
 )
 def test_values_that_no_actor_has_are_refused(values, message):
@@ -187,3 +193,56 @@ def test_replay_depends_on_the_stored_state_and_on_the_resets():
         lost_reset["is_init"][:, 5] = True
         for other in (lost_state, lost_reset):
             assert (actor.get_dist(other).log_prob(action) - base).abs().max() > 1e-4
+
+
+def test_orthogonal_layers_keep_their_gain_and_differ():
+    """``W W^T = 2 I`` for gain sqrt(2) of a layer that is not taller than wide."""
+    trunk = mlp_trunk(32, [32, 32])
+    first, second = trunk[0].weight, trunk[2].weight
+    for weight in (first, second):
+        assert_close(weight @ weight.T, 2 * torch.eye(32), atol=1e-4, rtol=0)
+    assert not torch.allclose(first, second)
+    own = mlp_trunk(32, [32, 32], initialization="default")
+    for layer in (own[0], own[2]):  # torch's: uniform within 1 / sqrt(inputs)
+        assert layer.weight.abs().max() <= 32**-0.5
+        assert layer.bias.abs().max() > 0
+    assert not torch.allclose(own[0].weight, own[2].weight)
+
+
+def deviation(actor, rows: int = 200, size: float = 1.0) -> torch.Tensor:
+    td = TensorDict({"observation": size * torch.randn(rows, 50)}, batch_size=[rows])
+    return actor.get_dist(td).variance.sqrt()
+
+
+def test_deviation_of_the_state_differs_from_state_to_state():
+    """``log std = a + w . features``: spread over states by the norm of w, in the mean by a."""
+    spec, action_spec = specs()
+    same = mlp_actor(spec, action_spec, std=0.3)
+    assert deviation(same).std(0).max() < 1e-6
+    actor = mlp_actor(spec, action_spec, std=0.3, state_std=True)
+    torch.nn.init.orthogonal_(actor[0].module[-1].deviation.weight, 0.5)
+    td = TensorDict({"observation": torch.randn(200, 50)}, batch_size=[200])
+    net = actor[0].module
+    features = net[:-1](td["observation"])
+    std = actor.get_dist(td).variance.sqrt()
+    assert std.std(0).min() > 0.01
+    assert_close(std, 0.3 * (features @ net[-1].deviation.weight.T).exp())
+    actor.get_dist(TensorDict({"observation": torch.randn(3, 50)}, [3])).variance.sum().backward()
+    assert actor[0].module[-1].deviation.weight.grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("components", [0, 3])
+def test_deviation_stays_between_floor_and_cap(components):
+    """Of a mixture: the Gaussians', so that the whole can be wider by the distance of means."""
+    spec, action_spec = specs()
+    actor = mlp_actor(
+        spec, action_spec, components=components, std=0.3, std_range=[0.2, 0.4],
+        **({} if components else {"state_std": True}),
+    )  # fmt: skip
+    head = actor[0].module[-1]
+    layer = head.linear if components else head.deviation
+    torch.nn.init.normal_(layer.weight, std=3.0)
+    td = TensorDict({"observation": torch.randn(300, 50)}, batch_size=[300])
+    std = actor[0](td)["scale"]
+    assert std.min().item() == pytest.approx(0.2, abs=1e-4)
+    assert std.max().item() == pytest.approx(0.4, abs=1e-4)
