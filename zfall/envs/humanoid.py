@@ -233,10 +233,11 @@ class HumanoidEnv(EnvBase):
         wrench = tensordict.get(("push", "wrench"), None)
         self._disturb(tensordict)
         sensors = self.simulation.step(control.index_select(-1, self._to_actuators), wrench)
+        observed = self._observe(sensors)
         diverged = self.simulation.diverged
         if diverged.any():  # such a world ends here, in a state the learner can read
-            sensors = self._place(diverged, {})
-        return self._observe(sensors, diverged[:, None])
+            observed = self._observe(self._place(diverged, {}))
+        return self._mark(observed, diverged[:, None])
 
     def _disturb(self, tensordict: TensorDictBase) -> None:
         """Changes states at once, before the step: kicks and balls."""
@@ -258,11 +259,11 @@ class HumanoidEnv(EnvBase):
         start = {
             key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)
         }
-        sensors = self._place(rows, start)
-        return self._observe(sensors, torch.zeros(self.num_envs, 1, dtype=torch.bool), reset=True)
+        observed = self._observe(self._place(rows, start), reset=True)
+        return self._mark(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 
-    def _observe(self, sensors: Tensor, diverged: Tensor, *, reset: bool = False) -> TensorDictBase:
-        """All keys; the episode ends only where the physics failed.
+    def _observe(self, sensors: Tensor, *, reset: bool = False) -> TensorDictBase:
+        """All quantities.
 
         After a reset only the new rows count: TorchRL keeps what it had in the others.
         """
@@ -276,10 +277,15 @@ class HumanoidEnv(EnvBase):
                 ("position", "velocity"), (qpos, qvel), self._ball, strict=True
             ):
                 out["ball", key] = state[:, columns].float()
-        for key in ("diverged", "terminated", "done"):
-            out[key] = diverged.clone()
-        out["truncated"] = torch.zeros_like(diverged)
         return out
+
+    @staticmethod
+    def _mark(observed: TensorDictBase, diverged: Tensor) -> TensorDictBase:
+        """Adds the flags: the episode ends only where the physics failed."""
+        for key in ("diverged", "terminated", "done"):
+            observed[key] = diverged.clone()
+        observed["truncated"] = torch.zeros_like(diverged)
+        return observed
 
     def _substeps(self, sensors: Tensor) -> dict[str, Tensor]:
         """What ``record_substeps`` asked for."""

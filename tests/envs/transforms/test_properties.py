@@ -130,6 +130,7 @@ TABLE = {  # in the order of a yaml
         "measured": True,
         "keys": [*IMU, "joint_position", "joint_velocity"],
     },
+    "near": {"_target_": f"{_SENSING}.CAPSNeighbours", "sigma": 0.1},
     "normalized": {
         "_target_": f"{_SENSING}.NormalizedVector",
         "out_key": "observation_critic",
@@ -150,6 +151,8 @@ def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
     target, names = table
     if "curriculum" in names:
         names = names | {"start"}
+    if "near" in names:
+        names = names | {"observation"}
     names = names - (set(TILTS.values()) - {TILTS[target]})
     base = HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=Ball(mass=0.2, radius=0.03))
     chosen = {name: TABLE[name] for name in TABLE if name in names}

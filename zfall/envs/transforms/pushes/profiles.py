@@ -66,7 +66,6 @@ def force_share(
         the push is over, whatever the rates, so that the impulse is exact.
     """
     length = torch.as_tensor(duration, dtype=start.dtype)[..., None]
-    passed = (begin - start[..., None]) / length
-    given = profile.given((passed + physics_dt / length).clamp(0.0, 1.0))
-    share = given - profile.given(passed.clamp(0.0, 1.0))
-    return (share * (profile.mean * length / physics_dt)).float()
+    edges = torch.cat([begin, begin[-1:] + physics_dt])
+    given = profile.given(((edges - start[..., None]) / length).clamp(0.0, 1.0))
+    return (given.diff(dim=-1) * (profile.mean * length / physics_dt)).float()
