@@ -1,10 +1,13 @@
 """Outcomes of scripted trials."""
 
+import math
+
+import pytest
 import torch
 from tensordict import TensorDict
 
 from zfall.evaluation.battery import load_battery
-from zfall.evaluation.metrics import Outcomes
+from zfall.evaluation.metrics import Outcomes, spectral_smoothness
 
 
 def record(regions: int, **values: torch.Tensor) -> TensorDict:
@@ -15,6 +18,7 @@ def record(regions: int, **values: torch.Tensor) -> TensorDict:
         "base_orientation": upright,
         "com_position": torch.tensor([[0.0, 0, 0.22]] * 3),
         "base_acceleration_peak": torch.full((3, 1), 9.81),
+        "target": torch.zeros(3, 2),
     }
     return TensorDict(quantities | values, batch_size=[3])
 
@@ -60,3 +64,29 @@ def test_peaks_count_for_half_a_second_after_the_touch_and_then_the_trial_is_set
         outcomes.update(td)
         assert outcomes.settled.tolist() == [step >= 22, False, False]
     assert outcomes.table()["peak_base_acceleration"][0] == 70.0
+
+
+@pytest.mark.parametrize(("length", "frequency"), [(50, 5.0), (50, 12.5), (51, 25 / 51 * 7)])
+def test_smoothness_of_a_sine_by_hand(length, frequency):
+    """One component of amplitude 0.3: ``2 / (n f_s) 0.3 f``; the offset and a still joint add 0."""
+    time = torch.arange(length, dtype=torch.float64) / 25
+    sine = 0.7 + 0.3 * torch.cos(2 * math.pi * frequency * time)
+    signal = torch.stack([sine, torch.ones(length, dtype=torch.float64)], -1)[None]
+    expected = 2 / (length // 2 * 25) * 0.3 * frequency / 2  # mean of two joints
+    assert spectral_smoothness(signal, 0.04).item() == pytest.approx(expected, rel=1e-6)
+
+
+def test_smoothness_is_that_of_the_two_seconds_before_the_push(make_base):
+    """A sine in world 0 until the push at 3 s, after a jump long before and one at the push."""
+    env = make_base(num_envs=3)
+    outcomes = Outcomes(env, load_battery("planar", push_time=3.0, end_time=4.0))
+    window = []
+    for step in range(1, 101):
+        target = torch.zeros(3, 2)
+        target[0] = 9.0 if step <= 25 or step > 75 else 0.3 * math.sin(step)
+        if 25 < step <= 75:
+            window.append(target)
+        outcomes.update(record(len(env.regions), target=target))
+    expected = spectral_smoothness(torch.stack(window, 1), 0.04)
+    assert outcomes.table()["target_smoothness"].tolist() == expected.tolist()
+    assert expected[0] > 0.001

@@ -48,6 +48,7 @@ def trials() -> pd.DataFrame:
             "fell": i >= good,
             "force_n": 49.2 * impulse,
             "seed": 7,
+            "target_smoothness": 0.1 * (impulse == 0.0) * (i + 1),
         }
         for (direction, impulse), good in outcomes.items()
         for i in range(4)
@@ -69,3 +70,4 @@ def test_summary_by_hand(trials):
     assert summary["success_low"]["0.1"] < 5 / 8 < summary["success_high"]["0.1"]
     assert (summary["control_falls"], summary["control_n"]) == (1, 8)
     assert summary["battery_version"] == 1
+    assert summary["target_smoothness"] == pytest.approx(0.25)  # mean of 0.1, 0.2, 0.3, 0.4

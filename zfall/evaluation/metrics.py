@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import tilt
@@ -14,6 +15,29 @@ if TYPE_CHECKING:
     from zfall.evaluation.battery import Battery
 
 AFTERMATH = 0.5  # time after the first touch in which peaks still count [s]
+STANDING = 2.0  # time before the push in which smoothness is measured [s]
+
+
+def spectral_smoothness(signal: Tensor, dt: float) -> Tensor:
+    """How much of a signal changes how fast ``(N,)``, mean over its channels; 0 if it rests.
+
+    ``2 / (n f_s) sum_i M_i f_i`` over the n frequencies f_i of a discrete Fourier transform above
+    0, with M_i the amplitude at f_i and f_s the sampling frequency; in units of the signal.
+
+    Args:
+        signal: samples ``(N, T, J)``.
+        dt: time between them [s].
+
+    Source: Mysore et al., "Regularizing action policies for smooth control with reinforcement
+    learning", ICRA 2021.
+    """
+    length = signal.shape[1]
+    frequency = torch.fft.rfftfreq(length, dt)[1:]
+    amplitude = 2.0 / length * torch.fft.rfft(signal, dim=1)[:, 1:].abs()
+    if length % 2 == 0:
+        amplitude[:, -1] *= 0.5  # half of the sampling frequency, which has no mirror image
+    weighted = (frequency[:, None] * amplitude).mean(1)
+    return (2.0 * dt * weighted).mean(-1)
 
 
 class Outcomes:
@@ -22,7 +46,8 @@ class Outcomes:
     ``fell``: any region but the feet touched the floor (or the physics failed). ``recovered``:
     not fallen until the end, and then upright and high enough. Peaks are taken from the push on,
     over physics steps, until the trial ends or for half a second after the first touch; then a
-    trial is ``settled``: nothing that follows counts.
+    trial is ``settled``: nothing that follows counts. ``target_smoothness`` is the
+    ``spectral_smoothness`` of the joint targets [rad] in the last two seconds before the push.
 
     Args:
         env: the base env.
@@ -42,6 +67,7 @@ class Outcomes:
         self.peak_contact_force = torch.zeros(n, len(env.regions))
         self.peak_tilt = torch.zeros(n)
         self.upright = torch.zeros(n, dtype=torch.bool)
+        self._targets: list[Tensor] = []
 
     def update(self, td: TensorDictBase) -> None:
         """Takes in what followed a control step."""
@@ -54,6 +80,8 @@ class Outcomes:
         angle = tilt(td["base_orientation"])
         self.upright = (angle < self.battery.max_tilt) & (td["com_position"][:, 2] > self.height)
         self.settled = self.fell & (since_push >= self.time_to_fall + AFTERMATH)
+        if -STANDING + 1e-6 < since_push < 1e-6:
+            self._targets.append(td["target"].clone())
         if since_push > 1e-6:
             counted = ~self.settled
             for name, value in (
@@ -76,7 +104,13 @@ class Outcomes:
             "peak_tilt": self.peak_tilt.numpy(),
             "peak_base_acceleration": self.peak_base_acceleration.numpy(),
             "peak_contact_force": body_peak.amax(-1).numpy(),
+            "target_smoothness": self._smoothness().numpy(),
         }
         for index, region in enumerate(self.regions):
             columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
         return pd.DataFrame(columns)
+
+    def _smoothness(self) -> Tensor:
+        if not self._targets:
+            return torch.full_like(self.time_to_fall, torch.nan)
+        return spectral_smoothness(torch.stack(self._targets, 1), self.control_dt)

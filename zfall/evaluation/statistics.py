@@ -69,6 +69,7 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
         "force_n": {},
         "control_falls": int(control["fell"].sum()),
         "control_n": len(control),
+        "target_smoothness": float(control["target_smoothness"].mean()),
     }
     for impulse, group in trials[trials["impulse"] > 0].groupby("impulse"):
         key, successes = f"{impulse:g}", int(group["recovered"].sum())
