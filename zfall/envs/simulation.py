@@ -124,7 +124,7 @@ class Simulation:
 
     @property
     def diverged(self) -> Tensor:
-        """Worlds whose last ``step`` gave values that are not finite or beyond any physics ``(N,)``.
+        """Worlds whose last ``step`` gave values not finite or beyond any physics ``(N,)`` bool.
 
         Found out beside the caller's own work: best asked for last.
         """
