@@ -33,8 +33,9 @@ def main(cfg: DictConfig) -> None:
     """Prints the ratios and writes ``bench.json`` into the run folder."""
     console = Console()
     with one_line_errors(), console.status("setting up") as status:
-        check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed", "peers"})
-        results = measure(cfg, lambda name: status.update(f"measuring {name}"))
+        check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed", "peers", "only"})
+        measuring = measure if cfg.only is None else measure_experiment
+        results = measuring(cfg, lambda name: status.update(f"measuring {name}"))
     folder = Path(HydraConfig.get().runtime.output_dir)
     (folder / "bench.json").write_text(json.dumps(results, indent=2))
     out = Table(title=f"{cfg.num_envs} worlds, {len(os.sched_getaffinity(0))} cores")
@@ -69,12 +70,7 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
         "train_mlp_losses": lambda seconds: train(mlp_losses, seconds),
         "train_gru_losses": lambda seconds: train(gru_losses, seconds),
     }
-    speeds: dict[str, list[float]] = {name: [] for name in tasks}
-    for turn in range(ROUNDS):
-        for name, task in tasks.items():
-            report(f"{name}, {turn + 1} of {ROUNDS}")
-            speeds[name].append(task(cfg.seconds / ROUNDS))
-    results = {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
+    results = in_turns(tasks, cfg.seconds, report)
     for name in ("env", *(name for name in tasks if name.startswith("train"))):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
     # Its physics has a ball too, that rests on the floor of every world.
@@ -87,6 +83,37 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     if cfg.peers:
         results |= measure_peers(torch.stack(stepper.actions), cfg.seconds / 2, report)
     return results
+
+
+def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
+    """Limit, env and training of one experiment, its env driven by its own untrained policy."""
+    overrides = [f"experiment={cfg.only}", f"num_envs={cfg.num_envs}", f"seed={cfg.seed}"]
+    learner = Learner(compose("train", overrides=overrides))
+    env = instantiate(learner.cfg.env)
+    stepper = EnvStepper(env, learner)
+    recorded = stepper.record()
+    tasks: dict[str, Callable[[float], float]] = {
+        "limit": lambda seconds: bare_physics(env, *recorded, seconds),
+        "env": stepper.run,
+        "train": lambda seconds: train(learner, seconds),
+    }
+    results = in_turns(tasks, cfg.seconds, report)
+    for name in ("env", "train"):
+        results[f"{name}_efficiency"] = results[name] / results["limit"]
+    report("transforms")
+    return results | stepper.transform_shares(cfg.seconds / 2)
+
+
+def in_turns(
+    tasks: dict[str, Callable[[float], float]], seconds: float, report: Callable[[str], None]
+) -> dict[str, float]:
+    """Control steps/s of each task, measured in several turns of all: the machine drifts."""
+    speeds: dict[str, list[float]] = {name: [] for name in tasks}
+    for turn in range(ROUNDS):
+        for name, task in tasks.items():
+            report(f"{name}, {turn + 1} of {ROUNDS}")
+            speeds[name].append(task(seconds / ROUNDS))
+    return {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
 
 
 def bare_physics(

@@ -70,8 +70,10 @@ class Simulation:
         self._pool = rollout.Rollout(nthread=self.threads)
         self._workers = ThreadPoolExecutor(self.threads)  # for what is not a step
         self._data = [mujoco.MjData(model) for _ in range(self.threads)]
+        self._scratch = [mujoco.MjData(model) for _ in range(self.threads)]  # of the workers
         self._largest: Future[NDArray[np.float64]] | None = None  # of the last step's values
         self._late = torch.zeros(num_worlds, dtype=torch.bool)
+        self._deriving: list[Future[None]] = []
         size = mujoco.mj_stateSize(model, _STATE)
         inputs = model.nu + 6 * model.nbody
         self._state = torch.zeros(num_worlds, size, dtype=torch.float64)
@@ -107,6 +109,7 @@ class Simulation:
             it. Rows that ``diverged`` are not to be used.
         """
         nu = self.model.nu
+        self._settle()
         if self._largest is not None:  # still reads what is overwritten now
             self._largest.result()
         self._inputs[:, :, :nu] = control
@@ -165,6 +168,7 @@ class Simulation:
             return
         if self._models[0] is self.model:
             self._models = [copy.copy(self.model) for _ in self._models]
+        self._settle()
         derive = not _CONSTANTS.isdisjoint(fields)
         values = {name: value.numpy() for name, value in fields.items()}
         changed = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
@@ -175,9 +179,15 @@ class Simulation:
 
             def derive_of(thread: int) -> None:
                 for model in changed[thread :: self.threads]:
-                    mujoco.mj_setConst(model, self._data[thread])
+                    mujoco.mj_setConst(model, self._scratch[thread])
 
-            list(self._workers.map(derive_of, range(self.threads)))
+            self._deriving = [self._workers.submit(derive_of, t) for t in range(self.threads)]
+
+    def _settle(self) -> None:
+        """Waits for the constants of new models, which are derived beside the caller's work."""
+        deriving, self._deriving = self._deriving, []
+        for task in deriving:
+            task.result()
 
     def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Positions ``(K, n, 3)`` [m] and rotation matrices ``(K, n, 3, 3)`` of n sites.
@@ -190,6 +200,7 @@ class Simulation:
 
     def _sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
         """Sensor values ``(K, nsensordata)`` of new states; arguments as in ``reset``."""
+        self._settle()
         # A loop, for these are few rows between two steps: threads would take longer to wake up.
         data = self._data[0]
         sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)

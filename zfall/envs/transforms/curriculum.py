@@ -96,9 +96,10 @@ class Curriculum(Transform):
             stages = self.fields[name]
             place = self.level * (len(stages) - 1)
             low = (place + 1e-6).floor().clamp_max(len(stages) - 1)
-            share = torch.zeros_like(place) if self.stepwise else (place - low).clamp_min(0.0)
-            below, above = stages[low.long()], stages[(low.long() + 1).clamp_max(len(stages) - 1)]
-            value = torch.lerp(below.movedim(0, -1), above.movedim(0, -1), share)
+            value = stages[low.long()].movedim(0, -1)
+            if not self.stepwise:
+                above = stages[(low.long() + 1).clamp_max(len(stages) - 1)]
+                value = torch.lerp(value, above.movedim(0, -1), (place - low).clamp_min(0.0))
             if isinstance(owner, dict):
                 owner[field] = value
             else:
@@ -109,8 +110,10 @@ class Curriculum(Transform):
         if done.any():  # moved at once, so that the coming reset draws from the new level
             fell = next_tensordict["terminated"].squeeze(-1)
             change = torch.where(fell, -torch.as_tensor(self.down), torch.as_tensor(self.up))
-            self.level = torch.where(done, (self.level + change).clamp(0.0, 1.0), self.level)
-            self._move()
+            level = torch.where(done, (self.level + change).clamp(0.0, 1.0), self.level)
+            if not torch.equal(level, self.level):
+                self.level = level
+                self._move()
         return next_tensordict.set("curriculum_level", self.level[:, None].clone())
 
     def _reset(
