@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from tensordict import TensorDict
 
 from recipes.learner import Learner
 from zfall.envs.transforms.pushes import ScriptedPush
@@ -14,6 +15,7 @@ from zfall.evaluation.battery import (
     play,
     push_forces,
     run_battery,
+    trial_parameters,
 )
 
 SMALL = {"impulses": [0.1, 0.9], "starts": 2, "directions": 4, "end_time": 5.0}
@@ -42,7 +44,7 @@ def test_force_has_the_impulse_and_heading_of_the_trial():
 
 
 def test_unknown_battery_and_option_are_refused():
-    with pytest.raises(ValueError, match="battery must be one of planar"):
+    with pytest.raises(ValueError, match="battery must be one of planar, planar_slippery"):
         load_battery("linear")
     with pytest.raises(ValueError, match="options of battery planar are .*point.*got pont"):
         load_battery("planar", pont="torso")
@@ -128,3 +130,49 @@ def test_pose_hold_goes_to_the_reference_under_velocity_targets(compose_config):
     targets = [td["target"] for td in play(env, None, 5)]
     for target in targets:
         torch.testing.assert_close(target, pose.expand(64, -1), atol=1e-5, rtol=0)
+
+
+def test_variants_change_the_physics_and_nothing_else():
+    planar = load_battery("planar")
+    for name in ("planar_slippery", "planar_payload"):
+        variant = load_battery(name)
+        same = {key for key in vars(planar) if getattr(planar, key) == getattr(variant, key)}
+        assert set(vars(planar)) - same <= {"name", "foot_friction", "mass_factor", "load"}
+        assert len(same) < len(vars(planar)) - 1
+
+
+def test_masses_and_loads_are_drawn_for_each_trial_from_its_own_seed(make_base):
+    base = make_base(num_envs=4)
+    trials = plan_trials(load_battery("planar"), 4.92, seed=3)
+    params = trial_parameters(load_battery("planar_payload"), trials, base)
+    mass, load = params["link_mass"], params["payload"]
+    assert (mass == mass[:, :1]).all()
+    assert 0.8 <= mass.min() < 0.81
+    assert 1.19 < mass.max() <= 1.2
+    column = list(base.parameters.push_points).index("chest")
+    assert 0.29 < load[:, column].max() <= 0.3
+    assert load.sum() == load[:, column].sum()
+    alone = trial_parameters(load_battery("planar_payload"), trials.iloc[77:78], base)
+    assert torch.equal(alone["link_mass"][0], mass[77])
+    assert abs(np.corrcoef(mass[:, 0], load[:, column])[0, 1]) < 0.05
+    slippery = trial_parameters(load_battery("planar_slippery"), trials, base)
+    assert set(slippery) == {"foot_friction"}
+    assert (slippery["foot_friction"] == 0.2).all()
+    assert trial_parameters(load_battery("planar"), trials, base) == {}
+
+
+def test_payload_battery_weighs_what_it_says(compose_config):
+    """Force of the floor on standing feet: total mass of each trial times g."""
+    cfg = compose_config("num_envs=64")
+    battery = load_battery("planar_payload", **(SMALL | {"end_time": 3.1}))
+    table = run_battery(battery, cfg.env, None, num_envs=64)
+    assert table["mass_factor"].between(0.8, 1.2).all()
+    env, _, _ = battery_env(battery, cfg.env, 64)
+    base, trials = env.base_env, plan_trials(battery, 1.0, 0)
+    rows = trials.iloc[np.arange(64).clip(max=len(trials) - 1)]
+    params = trial_parameters(battery, rows, base)
+    base.set_physics_params(TensorDict(params, batch_size=[64]))
+    last = list(play(env, None, 60))[-1]
+    weight = last["feet_force"][..., 2].sum(1).numpy()[: len(trials)]
+    expected = 9.81 * (3.3494 * table["mass_factor"] + table["load_kg"])
+    np.testing.assert_allclose(weight, expected, rtol=0.01)

@@ -10,8 +10,9 @@ import pandas as pd
 import torch
 import yaml
 from hydra.utils import instantiate
+from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type, step_mdp
 from torchrl.modules.utils import get_primers_from_module
@@ -32,7 +33,7 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 
 @dataclass(frozen=True, kw_only=True)
 class Battery:
-    """Definition of a planar battery; see ``batteries.yaml`` for the meaning of the fields."""
+    """Definition of a planar battery; the fields are explained in ``batteries.yaml``."""
 
     version: int
     name: str
@@ -46,6 +47,9 @@ class Battery:
     end_time: float
     max_tilt: float
     min_height: float
+    foot_friction: float | None
+    mass_factor: tuple[float, float] | None
+    load: tuple[float, float] | None
 
 
 def load_battery(name: str, **options: Any) -> Battery:
@@ -67,6 +71,8 @@ def load_battery(name: str, **options: Any) -> Battery:
     numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
     if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
         raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
+    for key in ("mass_factor", "load"):
+        numbers[key] = None if numbers[key] is None else tuple(numbers[key])
     for key in ("directions", "starts"):
         if numbers[key] < 1:
             raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
@@ -106,6 +112,33 @@ def start_positions(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) ->
     low, high = env.joint_range.unbind(-1)
     angles = env.stand_position + battery.start_noise * torch.tensor(np.array(noise)).float()
     return torch.clamp(angles, low, high)
+
+
+def trial_parameters(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) -> dict[str, Tensor]:
+    """Physical parameters ``(len(trials), size)`` that a battery sets, by name; none if nominal."""
+    spec, params = env.physics_param_spec, {}
+    drawn = np.array(
+        [  # not the stream of the start positions, which all batteries share
+            np.random.default_rng(np.random.SeedSequence([seed, trial, 1])).random(2)
+            for seed, trial in trials[["seed", "trial"]].to_numpy(dtype=int).tolist()
+        ]
+    )
+    if battery.foot_friction is not None:
+        params["foot_friction"] = torch.full((len(trials), 1), battery.foot_friction)
+    if battery.mass_factor is not None:
+        factor = torch.tensor(between(battery.mass_factor, drawn[:, 0])).float()
+        params["link_mass"] = factor[:, None].repeat(1, spec["link_mass"].shape[1])
+    if battery.load is not None:
+        params["payload"] = torch.zeros(len(trials), spec["payload"].shape[1])
+        column = list(env.parameters.push_points).index("chest")
+        params["payload"][:, column] = torch.tensor(between(battery.load, drawn[:, 1])).float()
+    return params
+
+
+def between(bounds: tuple[float, float], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values from the lower bound, at 0, to the upper one, at 1."""
+    low, high = bounds
+    return low + (high - low) * share
 
 
 def battery_env(
@@ -170,13 +203,20 @@ def run_battery(
         padded = chunk.iloc[rows]
         start.states["joint_position"] = start_positions(battery, padded, base)
         push.plan = push_forces(padded)[:, None]
+        params = trial_parameters(battery, padded, base)
+        if params:
+            base.set_physics_params(TensorDict(params, batch_size=[worlds]))
         outcomes = Outcomes(base, battery)
         for step, td in enumerate(play(env, actor, steps)):
             outcomes.update(td)
             progress(index * steps + step + 1, len(chunks) * steps)
             if outcomes.settled.all():
                 break
-        results.append(outcomes.table().iloc[: len(chunk)])
+        table = outcomes.table().iloc[: len(chunk)]
+        drawn = {"link_mass": "mass_factor", "payload": "load_kg"}
+        for name in drawn.keys() & params.keys():
+            table[drawn[name]] = params[name].amax(1)[: len(chunk)].numpy()
+        results.append(table)
     measured = pd.concat(results, ignore_index=True)
     return pd.concat([trials, measured], axis=1)
 
