@@ -19,6 +19,14 @@ def record(regions: int, **values: torch.Tensor) -> TensorDict:
         "com_position": torch.tensor([[0.0, 0, 0.22]] * 3),
         "base_acceleration_peak": torch.full((3, 1), 9.81),
         "target": torch.zeros(3, 2),
+        "joint_torque": torch.zeros(3, 20),
+        "joint_velocity": torch.zeros(3, 20),
+        "joint_position": torch.zeros(3, 20),
+        "com_velocity": torch.zeros(3, 3),
+        "angular_momentum": torch.zeros(3, 3),
+        "feet_contact": torch.ones(3, 2, dtype=torch.bool),
+        "feet_position": torch.zeros(3, 2, 3),
+        "feet_orientation": upright[:, None].expand(3, 2, 4),
     }
     return TensorDict(quantities | values, batch_size=[3])
 

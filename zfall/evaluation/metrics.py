@@ -10,6 +10,8 @@ from torch import Tensor
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
+from zfall.evaluation.effort import Effort
+from zfall.evaluation.strategies import Strategies
 
 if TYPE_CHECKING:
     from zfall.evaluation.battery import Battery
@@ -48,6 +50,7 @@ class Outcomes:
     over physics steps, until the trial ends or for half a second after the first touch; then a
     trial is ``settled``: nothing that follows counts. ``target_smoothness`` is the
     ``spectral_smoothness`` of the joint targets [rad] in the last two seconds before the push.
+    ``Effort`` and ``Strategies`` count from the push until the first touch.
 
     Args:
         env: the base env.
@@ -68,6 +71,7 @@ class Outcomes:
         self.peak_tilt = torch.zeros(n)
         self.upright = torch.zeros(n, dtype=torch.bool)
         self._targets: list[Tensor] = []
+        self.effort, self.strategies = Effort(env), Strategies(env)
 
     def update(self, td: TensorDictBase) -> None:
         """Takes in what followed a control step."""
@@ -82,8 +86,12 @@ class Outcomes:
         self.settled = self.fell & (since_push >= self.time_to_fall + AFTERMATH)
         if -STANDING + 1e-6 < since_push < 1e-6:
             self._targets.append(td["target"].clone())
-        if since_push > 1e-6:
+        if since_push < 1e-6:
+            self.strategies.before(td)
+        else:
             counted = ~self.settled
+            self.effort.update(td, counted & (~self.fell | first))
+            self.strategies.update(td, counted & (~self.fell | first), since_push)
             for name, value in (
                 ("peak_base_acceleration", td["base_acceleration_peak"].squeeze(-1)),
                 ("peak_contact_force", td["contact_force_peak"]),
@@ -106,6 +114,8 @@ class Outcomes:
             "peak_contact_force": body_peak.amax(-1).numpy(),
             "target_smoothness": self._smoothness().numpy(),
         }
+        measured = self.strategies.table(self.fell) | self.effort.table()
+        columns |= {name: value.numpy() for name, value in measured.items()}
         for index, region in enumerate(self.regions):
             columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
         return pd.DataFrame(columns)

@@ -1,0 +1,62 @@
+"""Effort of made-up trials, by hand."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zfall.evaluation.effort import Effort
+
+
+def test_sums_over_a_constant_torque_and_speed(make_base):
+    """0.5 N m at 2 rad/s in all 20 joints for 10 steps of 40 ms: 20 W for 0.4 s are 8 J."""
+    effort = Effort(make_base(num_envs=2))
+    for step in range(10):
+        td = TensorDict(
+            {
+                "joint_torque": torch.tensor([[0.5] * 20, [-1.0] * 10 + [0.0] * 10]),
+                "joint_velocity": torch.full((2, 20), 2.0),
+                "target": torch.zeros(2, 20),
+            },
+            [2],
+        )
+        effort.update(td, torch.tensor([True, step < 5]))
+    table = effort.table()
+    assert table["energy"].tolist() == pytest.approx([8.0, 20 * 0.2])
+    assert table["joint_torque_rms"].tolist() == pytest.approx([0.5, 0.5**0.5])
+    assert table["joint_torque_peak"].tolist() == [0.5, 1.0]
+    assert table["target_jerk"].tolist() == [0.0, 0.0]
+
+
+def test_saturation_is_the_share_of_torques_at_their_limit(make_base):
+    env = make_base(num_envs=1)
+    effort = Effort(env)
+    limit = torch.tensor(
+        [float(env.simulation.model.actuator(j).forcerange[1]) for j in env.robot.joints]
+    )
+    torque = limit * torch.tensor([1.0] * 3 + [-0.96] * 2 + [0.9] * 15)
+    td = TensorDict(
+        {"joint_torque": torque[None], "joint_velocity": torch.zeros(1, 20),
+         "target": torch.zeros(1, 20)}, [1]
+    )  # fmt: skip
+    effort.update(td, torch.tensor([True]))
+    assert effort.table()["torque_saturation"].item() == pytest.approx(5 / 20)
+
+
+def test_jerk_of_a_cubic_is_its_third_derivative(make_base):
+    """``q = 2 t^3`` in one of 20 joints: 12 rad/s3, and its root mean square over joints."""
+    env = make_base(num_envs=1)
+    effort = Effort(env)
+    for step in range(12):
+        target = torch.zeros(1, 20)
+        target[0, 3] = 2 * (step * env.control_dt) ** 3
+        td = TensorDict(
+            {"joint_torque": torch.zeros(1, 20), "joint_velocity": torch.zeros(1, 20),
+             "target": target}, [1]
+        )  # fmt: skip
+        effort.update(td, torch.tensor([True]))
+    assert effort.table()["target_jerk"].item() == pytest.approx(12 / 20**0.5, rel=1e-2)
+
+
+def test_a_trial_that_was_over_before_the_push_has_no_effort(make_base):
+    table = Effort(make_base(num_envs=1)).table()
+    assert all(value.isnan().all() for value in table.values())

@@ -1,0 +1,92 @@
+"""Strategies of made-up and of simulated trials."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zfall.evaluation.strategies import Strategies
+
+
+def record(num: int = 1, **values: torch.Tensor) -> TensorDict:
+    upright = torch.tensor([1.0, 0, 0, 0]).expand(num, 2, 4)
+    rest = {
+        "com_position": torch.zeros(num, 3),
+        "com_velocity": torch.zeros(num, 3),
+        "joint_position": torch.zeros(num, 20),
+        "feet_contact": torch.ones(num, 2, dtype=torch.bool),
+        "feet_position": torch.zeros(num, 2, 3),
+        "feet_orientation": upright,
+        "angular_momentum": torch.zeros(num, 3),
+    }
+    return TensorDict(rest | values, [num])
+
+
+def follow(make_base, steps: list[TensorDict]) -> dict[str, torch.Tensor]:
+    strategies = Strategies(make_base(num_envs=1))
+    strategies.before(record())
+    for number, td in enumerate(steps, 1):
+        strategies.update(td, torch.tensor([True]), 0.04 * number)
+    return strategies.table(torch.tensor([False]))
+
+
+def used(table: dict[str, torch.Tensor]) -> set[str]:
+    return {name.split("/")[1] for name, value in table.items() if "/" in name and value.item()}
+
+
+def test_standing_still_is_ankle_alone(make_base):
+    table = follow(make_base, [record() for _ in range(5)])
+    assert used(table) == {"ankle"}
+    assert table["recovery_time_s"].item() == 0.0
+    assert table["steps"].item() == 0
+
+
+@pytest.mark.parametrize(("stride", "steps"), [(0.03, 1), (0.01, 0)])
+def test_a_step_is_a_foot_that_comes_down_elsewhere(make_base, stride, steps):
+    """The left foot leaves, is carried forward in the air, and comes down."""
+    lifted = torch.tensor([[False, True]])
+    moved = torch.zeros(1, 2, 3)
+    moved[0, 0, 0] = stride
+    table = follow(
+        make_base,
+        [
+            record(feet_contact=lifted),
+            record(feet_contact=lifted, feet_position=moved),
+            record(feet_position=moved),
+            record(feet_position=moved),
+        ],
+    )
+    assert table["steps"].item() == steps
+    assert used(table) == ({"stepping"} if steps else {"ankle"})
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("jumping", {"feet_contact": torch.zeros(1, 2, dtype=torch.bool)}),
+        ("foot_tilting", {"feet_orientation": torch.tensor([[[1.0, 0, 0, 0], [0.9950, 0.0998, 0, 0]]])}),
+        ("angular_momentum", {"angular_momentum": torch.tensor([[0.0, 0.06, 0.0]])}),
+    ],
+)  # fmt: skip
+def test_each_has_its_sign(make_base, name, values):
+    assert used(follow(make_base, [record(), record(**values), record()])) == {name}
+
+
+def test_hip_counts_from_where_it_was(make_base):
+    env = make_base(num_envs=1)
+    joints = torch.zeros(1, 20)
+    joints[0, env.robot.joints.index("left_hip_roll")] = 0.3
+    assert used(follow(make_base, [record(joint_position=joints)])) == {"hip"}
+    knees = torch.zeros(1, 20)
+    knees[0, env.robot.joints.index("left_knee_pitch")] = 0.9
+    assert used(follow(make_base, [record(joint_position=knees)])) == {"ankle"}
+
+
+def test_recovery_lasts_until_the_last_motion(make_base):
+    moving = torch.tensor([[0.2, 0.0, 0.0]])
+    away = torch.tensor([[0.03, -0.04, 0.0]])
+    steps = [record(com_velocity=moving), record(), record(com_velocity=moving)]
+    table = follow(make_base, [*steps, record(com_position=away)])
+    assert table["recovery_time_s"].item() == pytest.approx(0.12)
+    assert table["displacement"].item() == pytest.approx(0.05)
+    still_moving = follow(make_base, [record(), record(com_velocity=moving)])
+    assert still_moving["recovery_time_s"].isnan()

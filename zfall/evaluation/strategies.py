@@ -1,0 +1,98 @@
+"""How a push was met: steps, displacement, time, and the strategies of Duburcq et al., table I."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.robots import GRAVITY
+from zfall.envs.rotations import tilt
+
+STRIDE = 0.02  # a foot that comes down so far from where it left has stepped [m]
+CALM = 0.1  # speed of the center of mass below which the robot has come to rest [m/s]
+FOOT_TILT = 0.15  # of a sole that stays on the floor [rad]
+HIP = 0.25  # of a hip's pitch or roll, away from where it was at the push [rad]
+MOMENTUM = 0.05  # angular momentum about the center of mass, in units of m h0 sqrt(g h0)
+
+
+class Strategies:
+    """Follows the feet, hips and momenta from the push until a trial ends.
+
+    ``steps``: times that a foot came down at least 2 cm from where it had left the floor.
+    ``displacement`` [m]: of the center of mass, level, since the push. ``recovery_time`` [s]: from
+    the push until the center of mass moves below 0.1 m/s for good; not a number if the robot fell
+    or still moved at the end.
+
+    Strategies, each true or false, several at once: ``stepping``: at least one step. ``jumping``:
+    no foot on the floor at the end of a control step. ``foot_tilting``: a sole on the floor
+    leans by more than 0.15 rad. ``hip``: pitch or roll
+    of a hip goes 0.25 rad away from its angle at the push. ``angular_momentum``: that of the body
+    about its center of mass exceeds 0.05 m h0 sqrt(g h0). ``ankle``: none of the others, the
+    center of pressure alone. The bounds are ours; table I judges by eye.
+
+    Args:
+        env: the base env.
+    """
+
+    def __init__(self, env: HumanoidEnv):
+        n, robot = env.num_envs, env.robot
+        self.hips = [i for i, name in enumerate(robot.joints) if _bends_at_the_hip(name)]
+        unit = robot.mass * robot.com_height * (GRAVITY * robot.com_height) ** 0.5
+        self.momentum = MOMENTUM * unit
+        self.steps = torch.zeros(n, dtype=torch.long)
+        self.displacement = torch.zeros(n)
+        self.last_motion = torch.zeros(n)
+        self.still = torch.zeros(n, dtype=torch.bool)
+        self.seen = torch.zeros(n, dtype=torch.bool)
+        flags = ("stepping", "jumping", "foot_tilting", "hip", "angular_momentum")
+        self.flags = {name: torch.zeros(n, dtype=torch.bool) for name in flags}
+        # At the push, but for the last two: contact in the last step, and where it was last.
+        self._com, self._hip = torch.zeros(n, 2), torch.zeros(n, len(self.hips))
+        self._contact = torch.ones(n, 2, dtype=torch.bool)
+        self._left = torch.zeros(n, 2, 2)
+
+    def before(self, td: TensorDictBase) -> None:
+        """Takes in a control step before the push, the last of which is what it disturbs."""
+        self._com, self._hip = td["com_position"][:, :2], td["joint_position"][:, self.hips]
+        self._contact, self._left = td["feet_contact"], td["feet_position"][..., :2]
+
+    def update(self, td: TensorDictBase, counted: Tensor, since_push: float) -> None:
+        """Takes in a control step of the worlds ``counted`` ``(N,)`` bool."""
+        com, contact = td["com_position"][:, :2], td["feet_contact"]
+        hip, feet = td["joint_position"][:, self.hips], td["feet_position"][..., :2]
+        landed = contact & ~self._contact & ((feet - self._left).norm(dim=-1) > STRIDE)
+        self._left = torch.where(contact[..., None], feet, self._left)
+        self._contact = contact
+        self.seen |= counted
+        self.steps += torch.where(counted, landed.sum(-1), 0)
+        away = (com - self._com).norm(dim=-1)
+        self.displacement = torch.where(counted, away, self.displacement)
+        moving = td["com_velocity"].norm(dim=-1) > CALM
+        self.last_motion = torch.where(moving & counted, since_push, self.last_motion)
+        self.still = torch.where(counted, ~moving, self.still)
+        leaning = contact & (tilt(td["feet_orientation"]) > FOOT_TILT)
+        now = {
+            "stepping": landed.any(-1),
+            "jumping": ~contact.any(-1),
+            "foot_tilting": leaning.any(-1),
+            "hip": ((hip - self._hip).abs() > HIP).any(-1),
+            "angular_momentum": td["angular_momentum"].norm(dim=-1) > self.momentum,
+        }
+        for name, value in now.items():
+            self.flags[name] |= value & counted
+
+    def table(self, fell: Tensor) -> dict[str, Tensor]:
+        """Columns ``(N,)``, given which trials ``fell`` ``(N,)`` bool."""
+        came_to_rest = self.seen & self.still & ~fell
+        others = torch.stack(list(self.flags.values())).any(0)
+        return {
+            "recovery_time_s": torch.where(came_to_rest, self.last_motion, torch.nan),
+            "steps": self.steps,
+            "displacement": torch.where(self.seen, self.displacement, torch.nan),
+            "strategy/ankle": self.seen & ~others,
+            **{f"strategy/{name}": value for name, value in self.flags.items()},
+        }
+
+
+def _bends_at_the_hip(joint: str) -> bool:
+    return joint.endswith(("hip_pitch", "hip_roll"))
