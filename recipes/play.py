@@ -14,9 +14,9 @@ from rich.progress import track
 from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from recipes.evaluate import BASELINES, keep, load_run
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import frame
+from recipes.tested import BASELINES, keep, load_run
 from zfall.evaluation.battery import BLOCK, play
 from zfall.evaluation.video import film
 from zfall.modules.actors import recurrent_keys
@@ -32,7 +32,7 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         if cfg.run is None or cfg.run in BASELINES:
             raise ValueError(f"run must be a run folder, got {cfg.run or 'none'}.")
-        env_cfg, actor = load_run(cfg)
+        env_cfg, actor, _ = load_run(cfg, cfg.run)
         env_cfg = keep(env_cfg, cfg.keep)
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         env = instantiate(env_cfg, base_env={"num_envs": worlds}, training=False)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 
-from recipes.evaluate import keep
 from recipes.one_line import start
+from recipes.tested import keep
 from zfall import checkpoint
 from zfall.envs.make import left_out
 
@@ -279,3 +279,64 @@ def test_an_evaluation_of_nothing_says_what_there_is(given):
     done = run("evaluate", *given)
     assert done.returncode == 1
     assert "run must be a run folder, or pose_hold or limp" in done.stderr
+
+
+def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, monkeypatch):
+    """Cut off after the first of three chunks; the rest is run, and the file is the same."""
+    import recipes.evaluate as recipe
+
+    args = [f"run={trained}", "starts=20", "directions=3", "impulses=[0.1,0.3]", "point=chest",
+            "num_envs=64"]  # fmt: skip
+    folder = trained / "evaluation" / "planar"
+    assert run("evaluate", *args).returncode == 0
+    whole = (folder / "trials.csv").read_bytes()
+    write = recipe.write_trials
+
+    def cut_off(path, trials, asked):
+        write(path, trials, asked)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recipe, "write_trials", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        run("evaluate", *args)
+    monkeypatch.setattr(recipe, "write_trials", write)
+    assert len(pd.read_csv(folder / "trials.partial.csv")) == 64
+    done = run("evaluate", *args)
+    assert "goes on after 64 trials" in done.stdout.replace("\n", " ")
+    assert (folder / "trials.csv").read_bytes() == whole
+    assert not (folder / "trials.partial.csv").exists()
+
+
+def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
+    more = [*SMALL, "num_envs=64", f"hydra.run.dir={tmp_path}"]
+    done = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "comparison" / "planar"
+    table = pd.read_csv(folder / "comparison.csv").set_index("run")
+    assert table.loc[str(trained), "difference"] == 0.0
+    assert table.loc["limp", "success"] == 0.0
+    assert table.loc["limp", "control_falls"] == 2
+    assert (folder / "overlay.png").exists()
+    assert (folder / "overlay.pdf").exists()
+    again = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)
+    assert again.stdout.count("read from") == 3
+    assert pd.read_csv(folder / "comparison.csv").set_index("run").equals(table)
+
+
+def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
+    assert run("evaluate", f"run={trained}", *SMALL, "num_envs=64").returncode == 0
+    trials = pd.read_csv(trained / "evaluation" / "planar" / "trials.csv")
+    done = run("evaluate", f"run={trained}", *SMALL, "trial=3")
+    assert done.returncode == 0, done.stderr
+    for key in ("peak_tilt", "joint_torque_rms", "recovered", "displacement"):
+        value = trials[key][3]
+        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+        assert f"{key}: {shown}" in done.stdout
+    bad = run("evaluate", f"run={trained}", *SMALL, "trial=999")
+    assert bad.returncode != 0
+    assert "trial must be one of 0 to 3, got 999" in bad.stderr
+
+
+def test_run_and_runs_exclude_each_other(trained):
+    done = run("evaluate", f"run={trained}", f"runs=[{trained}]")
+    assert "runs a list of them; got both" in done.stderr

@@ -1,6 +1,6 @@
 """Push batteries: what is tried, and how it is run."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -176,8 +176,15 @@ def run_battery(
     num_envs: int = 512,
     servos: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    only: Sequence[int] | None = None,
+    finished: pd.DataFrame | None = None,
+    keep: Callable[[pd.DataFrame], None] = lambda trials: None,
+    watch: Callable[[HumanoidEnv, TensorDictBase], None] = lambda env, td: None,
 ) -> pd.DataFrame:
     """Runs all trials; returns them with their outcomes.
+
+    Trials are independent of each other and of how many run together: a few of them alone come
+    out the same.
 
     Args:
         battery: the definition.
@@ -187,17 +194,29 @@ def run_battery(
         num_envs: worlds that run together, at most; rounded up to whole blocks.
         servos: whether the servos act at all.
         progress: is told the number of control steps done and their total.
+        only: numbers of the trials to run; all if ``None``.
+        finished: trials with outcomes that an earlier call had, not to be run again.
+        keep: is given what is finished so far after every chunk of trials.
+        watch: is given the base env and what followed each control step.
     """
-    count = len(plan_trials(battery, 1.0, seed))
+    count = len(plan_trials(battery, 1.0, seed)) if only is None else len(only)
     worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
     env, start, push = battery_env(battery, cfg, worlds, servos=servos)
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     base = env.base_env
     trials = plan_trials(battery, base.robot.impulse_unit, seed)
+    if only is not None:
+        unknown = sorted(set(only) - set(trials["trial"]))
+        if unknown:
+            raise ValueError(f"trial must be one of 0 to {len(trials) - 1}, got {unknown[0]}.")
+        trials = trials[trials["trial"].isin(only)]
+    results = []
+    if finished is not None and len(finished):
+        results.append(finished)
+        trials = trials[~trials["trial"].isin(finished["trial"])]
     steps = round(battery.end_time / base.control_dt)
     chunks = [trials.iloc[i : i + worlds] for i in range(0, len(trials), worlds)]
-    results = []
     for index, chunk in enumerate(chunks):
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
@@ -209,6 +228,7 @@ def run_battery(
         outcomes = Outcomes(base, battery)
         for step, td in enumerate(play(env, actor, steps)):
             outcomes.update(td)
+            watch(base, td)
             progress(index * steps + step + 1, len(chunks) * steps)
             if outcomes.settled.all():
                 break
@@ -216,9 +236,9 @@ def run_battery(
         drawn = {"link_mass": "mass_factor", "payload": "load_kg"}
         for name in drawn.keys() & params.keys():
             table[drawn[name]] = params[name].amax(1)[: len(chunk)].numpy()
-        results.append(table)
-    measured = pd.concat(results, ignore_index=True)
-    return pd.concat([trials, measured], axis=1)
+        results.append(pd.concat([chunk.reset_index(drop=True), table], axis=1))
+        keep(pd.concat(results, ignore_index=True))
+    return pd.concat(results, ignore_index=True).sort_values("trial", ignore_index=True)
 
 
 def push_forces(trials: pd.DataFrame) -> Tensor:

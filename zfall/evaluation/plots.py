@@ -1,5 +1,7 @@
 """Plots of batteries and of training."""
 
+import itertools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,39 @@ def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
         label=label,
         path_effects=[Stroke(linewidth=4, foreground="black"), Normal()],
     )
+
+
+def overlay(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None:
+    """Polar lines of I50 by direction, one for each run, told apart in grey by their dashes.
+
+    Args:
+        runs: trials of one planar battery by name.
+        path: file to write; its ending gives the format.
+        title: above the plot.
+    """
+    figure = Figure(figsize=(4.6, 4.6), layout="constrained")
+    axes: Any = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    styles = itertools.cycle([("-", "o"), ("--", "s"), (":", "^"), ("-.", "D")])
+    greys = np.linspace(0.0, 0.6, max(2, len(runs)))
+    for (name, trials), (line, marker), grey in zip(runs.items(), styles, greys, strict=False):
+        table = success_table(trials)
+        i50 = [largest_withstood(table.columns.to_numpy(), r, 0.5) for r in table.to_numpy()]
+        angles = table.index.to_numpy()
+        axes.plot(
+            np.append(angles, angles[0]),
+            np.append(i50, i50[0]),
+            linestyle=line,
+            marker=marker,
+            markersize=4,
+            color=str(grey),
+            label=f"{Path(name).name}: {np.mean(i50):.2f}",
+        )
+    axes.set_ylim(0, None)
+    axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])
+    axes.set_title(title, fontsize=10)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.15, -0.15), fontsize=8, title="mean I50")
+    figure.savefig(path, dpi=200)
 
 
 def learning_curves(metrics: pd.DataFrame, path: Path) -> None:

@@ -1,0 +1,117 @@
+"""What a battery tests: a run's policy in its env, or a baseline; and where its trials are kept."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from hydra import compose
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from zfall import checkpoint
+from zfall.evaluation.battery import Battery
+
+BASELINES = ("pose_hold", "limp")
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A policy or baseline under test.
+
+    Args:
+        name: a run folder or the name of a baseline.
+        env_cfg: config of its env.
+        actor: the policy; ``None`` for a baseline.
+        folder: where its results go.
+        frames: control steps that the policy was trained for.
+    """
+
+    name: str
+    env_cfg: DictConfig
+    actor: torch.nn.Module | None
+    folder: Path
+    frames: int
+
+    @classmethod
+    def load(cls, cfg: DictConfig, name: str, output: Path) -> "Tested":
+        """From its folder, or for a baseline by its name."""
+        env_cfg, actor, frames = load_run(cfg, name)
+        run = output / name if cfg.runs is not None else output
+        folder = (run if name in BASELINES else Path(name)) / "evaluation" / cfg.battery
+        folder.mkdir(parents=True, exist_ok=True)
+        return cls(name, keep(env_cfg, cfg.keep), actor, folder, frames)
+
+    @property
+    def servos(self) -> bool:
+        """Whether the servos act."""
+        return self.name != "limp"
+
+    def asked(self, battery: Battery, cfg: DictConfig) -> dict[str, Any]:
+        """All that the outcomes follow from: results of the same are the same."""
+        asked = {"checkpoint": cfg.checkpoint, "seed": cfg.seed, "keep": list(cfg.keep)}
+        env = OmegaConf.to_yaml(self.env_cfg, resolve=True)
+        return json.loads(
+            json.dumps(asked | {"definition": asdict(battery), "frames": self.frames, "env": env})
+        )
+
+
+def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | None, int]:
+    """The env's config, the policy and its frames of training; no policy for a baseline.
+
+    Raises:
+        ValueError: if the folder holds no checkpoint, or one that does not fit.
+    """
+    if run in BASELINES:
+        return (cfg.env or compose("train", overrides=["num_envs=64"]).env), None, 0
+    path = Path(run) / "checkpoints" / f"{cfg.checkpoint}.pt"
+    if not path.parent.parent.is_dir():
+        raise ValueError(
+            f"run must be a run folder, or {' or '.join(BASELINES)}; there is no folder {run}."
+        )
+    content = checkpoint.load(path)
+    run_cfg = OmegaConf.create(content["config"])
+    env_cfg = run_cfg.env
+    env = instantiate(env_cfg, base_env={"num_envs": 1})
+    actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
+    checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
+    actor.load_state_dict(content["policy"])
+    return env_cfg, actor, int(content["frames"])
+
+
+def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
+    """The env's config with some of what evaluation leaves out kept on: noise, delays.
+
+    Raises:
+        ValueError: on a name that is not left out.
+    """
+    training_only = OmegaConf.select(env_cfg, "training_only", default={})
+    unknown = [name for name in names if name not in training_only]
+    if unknown:
+        raise ValueError(
+            f"keep must name what evaluation leaves out ({', '.join(training_only)}), "
+            f"got {unknown[0]}."
+        )
+    kept = env_cfg.copy()
+    for name in names:
+        kept.training_only[name] = False
+    return kept
+
+
+def write_trials(path: Path, trials: pd.DataFrame, asked: dict[str, Any]) -> None:
+    """Writes trials, and beside them what was asked for; never half a row."""
+    temporary = path.with_suffix(".tmp")
+    trials.to_csv(temporary, index=False)
+    path.with_suffix(".json").write_text(json.dumps(asked))
+    temporary.replace(path)
+
+
+def read_trials(path: Path, asked: dict[str, Any]) -> pd.DataFrame | None:
+    """Trials that were written for the same; ``None`` if there are none."""
+    given = path.with_suffix(".json")
+    if not (path.exists() and given.exists()) or json.loads(given.read_text()) != asked:
+        return None
+    return pd.read_csv(path, float_precision="round_trip")
