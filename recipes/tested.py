@@ -114,4 +114,4 @@ def read_trials(path: Path, asked: dict[str, Any]) -> pd.DataFrame | None:
     given = path.with_suffix(".json")
     if not (path.exists() and given.exists()) or json.loads(given.read_text()) != asked:
         return None
-    return pd.read_csv(path, float_precision="round_trip")
+    return pd.read_csv(path)

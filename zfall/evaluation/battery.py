@@ -235,7 +235,7 @@ def run_battery(
         table = outcomes.table().iloc[: len(chunk)]
         drawn = {"link_mass": "mass_factor", "payload": "load_kg"}
         for name in drawn.keys() & params.keys():
-            table[drawn[name]] = params[name].amax(1)[: len(chunk)].numpy()
+            table[drawn[name]] = params[name].amax(1)[: len(chunk)].double().numpy()
         results.append(pd.concat([chunk.reset_index(drop=True), table], axis=1))
         keep(pd.concat(results, ignore_index=True))
     return pd.concat(results, ignore_index=True).sort_values("trial", ignore_index=True)

@@ -118,7 +118,10 @@ class Outcomes:
         columns |= {name: value.numpy() for name, value in measured.items()}
         for index, region in enumerate(self.regions):
             columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
-        return pd.DataFrame(columns)
+        # In float64 a number read back from a file is the number that was written.
+        return pd.DataFrame(
+            {key: x.astype(float) if x.dtype == "float32" else x for key, x in columns.items()}
+        )
 
     def _smoothness(self) -> Tensor:
         if not self._targets:
