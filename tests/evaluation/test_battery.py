@@ -37,7 +37,7 @@ def test_force_has_the_impulse_and_heading_of_the_trial():
     size = force.norm(dim=-1).numpy() * 0.1 / 4.92
     np.testing.assert_allclose(size, trials["impulse"], atol=1e-6)
     pushed = trials["impulse"] > 0
-    x, y = force[pushed.to_numpy(), :2].numpy().T
+    x, y = force[pushed.to_numpy().copy(), :2].numpy().T
     heading = np.arctan2(y, x) - trials["direction_rad"][pushed]
     np.testing.assert_allclose(np.cos(heading), 1.0, atol=1e-6)
     assert push_forces(trials[trials["direction_rad"] == 0.0])[-1, 0] > 0  # 0 is forward, +x
