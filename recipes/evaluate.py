@@ -1,8 +1,9 @@
 """Runs a push battery: ``python -m recipes.evaluate run=DIR battery=planar``."""
 
+import itertools
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import hydra
@@ -22,11 +23,12 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import left_out
 from zfall.evaluation.battery import Battery, battery_env, load_battery, run_battery
 from zfall.evaluation.comparison import compare
-from zfall.evaluation.plots import overlay, success_map
+from zfall.evaluation.envelope import run_envelope
+from zfall.evaluation.plots import envelope_plot, overlay, success_map
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import film
 
-OPTIONS = ("point", "duration", "directions", "impulses", "starts")
+OPTIONS = ("point", "duration", "directions", "impulses", "starts", "resolution")
 KEYS = {"run", "runs", "battery", "checkpoint", "num_envs", "seed", "env", "keep", "trial", "video"}
 
 
@@ -43,6 +45,10 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(
                 f"run must be a run folder, or {' or '.join(BASELINES)}, or runs a list of them; "
                 f"got {'none' if cfg.run is None else 'both'}."
+            )
+        if cfg.runs is not None and battery.resolution is not None:
+            raise ValueError(
+                f"runs needs a battery whose trials are the same for all; {battery.name} is not."
             )
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
         tested = [Tested.load(cfg, name, output) for name in names]
@@ -66,6 +72,8 @@ def run_or_read(
 
     A comparison reads what is there already from the same checkpoint and definition.
     """
+    if battery.resolution is not None:
+        return bisect(battery, tested, cfg, console)
     folder, asked = tested.folder, tested.asked(battery, cfg)
     if cfg.runs is not None and (done := read_trials(folder / "trials.csv", asked)) is not None:
         console.print(f"{battery.name} of {tested.name}: read from {folder}/trials.csv")
@@ -104,6 +112,50 @@ def run_or_read(
         f"falls without a push {summary['control_falls']} of {summary['control_n']}"
     )
     console.print(f"wrote {folder}/trials.csv, summary.json, success_map.png")
+    return trials
+
+
+def bisect(battery: Battery, tested: Tested, cfg: DictConfig, console: Console) -> pd.DataFrame:
+    """The largest pushes recovered from, beside those of ``pose_hold``, and their files."""
+    pairs = {Path(tested.name).name: tested}
+    if tested.name not in BASELINES:
+        pairs["pose_hold"] = Tested("pose_hold", tested.env_cfg, None, tested.folder, 0)
+    tables: dict[str, pd.DataFrame] = {}
+    trials = pd.DataFrame()
+    for name, each in reversed(pairs.items()):  # the run's own trials come last, and are kept
+        rounds = itertools.count()
+
+        def run(plan: pd.DataFrame, name: str = name, each: Tested = each) -> pd.DataFrame:
+            label = f"{name}, round {next(rounds)}"  # noqa: B023
+            return evaluate(battery, each, cfg, console, plan=plan, name=label)
+
+        tables[name], trials = run_envelope(battery, cfg.seed, run)
+    folder = tested.folder
+    write_trials(folder / "trials.csv", trials, tested.asked(battery, cfg))
+    tables = dict(reversed(tables.items()))
+    table = tables[next(iter(pairs))]
+    table.to_csv(folder / "envelope.csv", index=False)
+    means = table.groupby("body", sort=False)["largest"].agg(["mean", "min"])
+    control = trials[trials["impulse"] == 0]
+    summary = {
+        "battery": battery.name,
+        "battery_version": battery.version,
+        "definition": asdict(battery),
+        "seed": cfg.seed,
+        "n": len(trials),
+        "largest_mean": means["mean"].to_dict(),
+        "largest_min": means["min"].to_dict(),
+        "control_falls": int(control["fell"].sum()),
+        "control_n": len(control),
+    }
+    (folder / "summary.json").write_text(json.dumps(summary, indent=2))
+    for ending in ("png", "pdf"):
+        title = "largest impulse recovered from"
+        envelope_plot(tables, folder / f"envelope.{ending}", title=title)
+    console.print(markdown(means.reset_index()), markup=False)
+    console.print(
+        f"wrote {folder}/trials.csv, envelope.csv, summary.json, envelope.png, envelope.pdf"
+    )
     return trials
 
 
@@ -173,6 +225,7 @@ def evaluate(
     console: Console,
     *,
     name: str | None = None,
+    plan: pd.DataFrame | None = None,
     finished: pd.DataFrame | None = None,
     keep: Callable[[pd.DataFrame], None] = lambda trials: None,
 ) -> pd.DataFrame:
@@ -189,6 +242,7 @@ def evaluate(
             num_envs=cfg.num_envs,
             servos=tested.servos,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
+            plan=plan,
             finished=finished,
             keep=keep,
         )

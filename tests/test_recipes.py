@@ -340,3 +340,17 @@ def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
 def test_run_and_runs_exclude_each_other(trained):
     done = run("evaluate", f"run={trained}", f"runs=[{trained}]")
     assert "runs a list of them; got both" in done.stderr
+
+
+def test_envelope_of_a_run_beside_the_held_pose(trained):
+    more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
+    done = run("evaluate", f"run={trained}", *more, "num_envs=64", "resolution=0.4")
+    assert done.returncode == 0, done.stderr
+    folder = trained / "evaluation" / "envelope"
+    table = pd.read_csv(folder / "envelope.csv")
+    assert len(table) == 2
+    assert table["largest"].isin([0.0, 0.4, 0.8]).all()
+    for name in ("trials.csv", "summary.json", "envelope.png", "envelope.pdf"):
+        assert (folder / name).exists(), name
+    bad = run("evaluate", f"runs=[{trained},pose_hold]", "battery=envelope")
+    assert "runs needs a battery whose trials are the same" in bad.stderr

@@ -37,7 +37,7 @@ class Battery:
 
     version: int
     name: str
-    point: str
+    point: str | tuple[str, ...]
     directions: int
     impulses: tuple[float, ...]
     starts: int
@@ -50,6 +50,7 @@ class Battery:
     foot_friction: float | None
     mass_factor: tuple[float, float] | None
     load: tuple[float, float] | None
+    resolution: float | None
 
 
 def load_battery(name: str, **options: Any) -> Battery:
@@ -71,6 +72,13 @@ def load_battery(name: str, **options: Any) -> Battery:
     numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
     if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
         raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
+    if not isinstance(numbers["point"], str):
+        numbers["point"] = tuple(numbers["point"])
+    resolution = numbers["resolution"]
+    if resolution is not None and not 0 < resolution < max(numbers["impulses"]):
+        raise ValueError(
+            f"resolution must lie between 0 and the largest of impulses, got {resolution}."
+        )
     for key in ("mass_factor", "load"):
         numbers[key] = None if numbers[key] is None else tuple(numbers[key])
     for key in ("directions", "starts"):
@@ -80,26 +88,32 @@ def load_battery(name: str, **options: Any) -> Battery:
 
 
 def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
-    """One row per trial: direction x impulse x start, and a control arm of impulse 0.
+    """One row per trial: push point x impulse x direction x start; a control arm of impulse 0.
 
     Args:
         battery: the definition.
         impulse_unit: impulse of dimensionless size 1 of the robot [N s].
         seed: of the battery; a trial's own randomness comes from ``[seed, trial]``.
     """
+    points = push_points(battery)
+    cells = [(0.0, points[0]), *((i, point) for point in points for i in battery.impulses)]
     rows = [
-        {"direction_rad": 2 * np.pi * d / battery.directions, "impulse": impulse}
-        for impulse in (0.0, *battery.impulses)
+        {"direction_rad": 2 * np.pi * d / battery.directions, "impulse": impulse, "body": point}
+        for impulse, point in cells
         for d in range(battery.directions)
         for _ in range(battery.starts)
     ]
     trials = pd.DataFrame(rows)
     trials.insert(0, "trial", range(len(trials)))
-    trials["duration_s"] = battery.duration
-    trials["force_n"] = trials["impulse"] * impulse_unit / battery.duration
-    trials["body"] = battery.point
+    trials.insert(3, "duration_s", battery.duration)
+    trials.insert(4, "force_n", trials["impulse"] * impulse_unit / battery.duration)
     trials["seed"] = seed
     return trials
+
+
+def push_points(battery: Battery) -> tuple[str, ...]:
+    """Where the battery pushes."""
+    return (battery.point,) if isinstance(battery.point, str) else battery.point
 
 
 def start_positions(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) -> Tensor:
@@ -156,10 +170,10 @@ def battery_env(
     start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
     push = ScriptedPush(
         base,
-        point=battery.point,
+        point=list(push_points(battery)),
         duration=battery.duration,
-        time=torch.full((num_envs,), battery.push_time),
-        plan=torch.zeros(num_envs, 3),
+        time=battery.push_time,
+        plan=torch.zeros(num_envs, len(push_points(battery)), 3),  # one for each point
     )
     table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
     training_only = OmegaConf.select(cfg, "training_only", default={})
@@ -176,6 +190,7 @@ def run_battery(
     num_envs: int = 512,
     servos: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    plan: pd.DataFrame | None = None,
     only: Sequence[int] | None = None,
     finished: pd.DataFrame | None = None,
     keep: Callable[[pd.DataFrame], None] = lambda trials: None,
@@ -194,18 +209,20 @@ def run_battery(
         num_envs: worlds that run together, at most; rounded up to whole blocks.
         servos: whether the servos act at all.
         progress: is told the number of control steps done and their total.
+        plan: the trials, if not those of ``plan_trials``; their forces follow from the impulses.
         only: numbers of the trials to run; all if ``None``.
         finished: trials with outcomes that an earlier call had, not to be run again.
         keep: is given what is finished so far after every chunk of trials.
         watch: is given the base env and what followed each control step.
     """
-    count = len(plan_trials(battery, 1.0, seed)) if only is None else len(only)
+    trials = plan_trials(battery, 1.0, seed) if plan is None else plan.copy()
+    count = len(trials) if only is None else len(only)
     worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
     env, start, push = battery_env(battery, cfg, worlds, servos=servos)
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     base = env.base_env
-    trials = plan_trials(battery, base.robot.impulse_unit, seed)
+    trials["force_n"] = trials["impulse"] * base.robot.impulse_unit / trials["duration_s"]
     if only is not None:
         unknown = sorted(set(only) - set(trials["trial"]))
         if unknown:
@@ -221,7 +238,7 @@ def run_battery(
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
         start.states["joint_position"] = start_positions(battery, padded, base)
-        push.plan = push_forces(padded)[:, None]
+        push.plan = push_plan(battery, padded)
         params = trial_parameters(battery, padded, base)
         if params:
             base.set_physics_params(TensorDict(params, batch_size=[worlds]))
@@ -246,6 +263,15 @@ def push_forces(trials: pd.DataFrame) -> Tensor:
     heading, force = trials["direction_rad"].to_numpy(), trials["force_n"].to_numpy()
     plan = np.stack([force * np.cos(heading), force * np.sin(heading), 0 * force], -1)
     return torch.tensor(plan).float()
+
+
+def push_plan(battery: Battery, trials: pd.DataFrame) -> Tensor:
+    """Forces ``(len(trials), points, 3)`` [N; world], zero but at the point of the trial."""
+    points = push_points(battery)
+    plan = torch.zeros(len(trials), len(points), 3)
+    places = torch.tensor([points.index(body) for body in trials["body"]])
+    plan[torch.arange(len(trials)), places] = push_forces(trials)
+    return plan
 
 
 def play(

@@ -15,6 +15,8 @@ from zfall.evaluation.statistics import largest_withstood, success_table
 
 mpl.use("Agg")
 
+_LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6")]  # told apart without colour
+
 
 def success_map(
     trials: pd.DataFrame, path: Path, *, title: str, baseline: pd.DataFrame | None = None
@@ -108,25 +110,52 @@ def overlay(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None
     figure = Figure(figsize=(4.6, 4.6), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
-    styles = itertools.cycle([("-", "o"), ("--", "s"), (":", "^"), ("-.", "D")])
-    greys = np.linspace(0.0, 0.6, max(2, len(runs)))
-    for (name, trials), (line, marker), grey in zip(runs.items(), styles, greys, strict=False):
+    for (name, trials), (line, grey) in zip(runs.items(), itertools.cycle(_LINES), strict=False):
         table = success_table(trials)
         i50 = [largest_withstood(table.columns.to_numpy(), r, 0.5) for r in table.to_numpy()]
         angles = table.index.to_numpy()
         axes.plot(
             np.append(angles, angles[0]),
             np.append(i50, i50[0]),
-            linestyle=line,
-            marker=marker,
-            markersize=4,
-            color=str(grey),
+            line,
+            color=grey,
             label=f"{Path(name).name}: {np.mean(i50):.2f}",
         )
     axes.set_ylim(0, None)
     axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])
     axes.set_title(title, fontsize=10)
     axes.legend(loc="lower left", bbox_to_anchor=(-0.15, -0.15), fontsize=8, title="mean I50")
+    figure.savefig(path, dpi=200)
+
+
+def envelope_plot(tables: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None:
+    """Largest impulse recovered from by direction, a polar plot for each push point.
+
+    Args:
+        tables: of ``run_envelope`` by name of the policy; told apart in grey by their dashes.
+        path: file to write; its ending gives the format.
+        title: above the plots.
+    """
+    bodies = list(dict.fromkeys(next(iter(tables.values()))["body"]))
+    columns, rows = min(len(bodies), 2), -(-len(bodies) // 2)
+    figure = Figure(figsize=(3.4 * columns, 3.6 * rows), layout="constrained")
+    reach = 1.05 * max(0.1, *(float(table["largest"].max()) for table in tables.values()))
+    for place, body in enumerate(bodies, 1):
+        axes: Any = figure.add_subplot(rows, columns, place, projection="polar")
+        axes.set_theta_zero_location("N")
+        lines = zip(tables.items(), itertools.cycle(_LINES), strict=False)
+        for (name, table), (line, grey) in lines:
+            cells = table[table["body"] == body].sort_values("direction_rad")
+            angles, largest = cells["direction_rad"].to_numpy(), cells["largest"].to_numpy()
+            around = np.append(angles, angles[0]), np.append(largest, largest[0])
+            axes.plot(*around, line, color=grey, label=f"{name}: mean {largest.mean():.2f}")
+        axes.set_ylim(0, reach)
+        sides = ["forward", "left", "backward", "right"]
+        axes.set_thetagrids([0, 90, 180, 270], sides, fontsize=8)
+        axes.tick_params(axis="y", labelsize=7)
+        axes.set_title(body, fontsize=9)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.3), fontsize=7)
+    figure.suptitle(title, fontsize=10)
     figure.savefig(path, dpi=200)
 
 
