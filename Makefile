@@ -20,7 +20,7 @@ train: $(READY)
 	$(RUN) -m recipes.train $(ARGS)
 
 test: $(READY)
-	$(RUN) -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
+	$(RUN) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 slow-test: $(READY)
 	$(RUN) -m pytest -m slow -s $(ARGS)

@@ -50,6 +50,10 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(
                 f"runs needs a battery whose trials are the same for all; {battery.name} is not."
             )
+        if cfg.trial is not None and (cfg.keep or battery.resolution is not None):
+            raise ValueError(
+                "trial needs a battery whose trials are independent: not envelope, and no keep."
+            )
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
         tested = [Tested.load(cfg, name, output) for name in names]
         if cfg.trial is not None:
@@ -97,7 +101,7 @@ def run_or_read(
     baseline = None
     if tested.name not in BASELINES:
         short = replace(battery, starts=min(battery.starts, 5))
-        held = Tested("pose_hold", tested.env_cfg, None, folder, 0)
+        held = Tested("pose_hold", tested.env_cfg, None, folder, "")
         baseline = evaluate(short, held, cfg, console, name="pose_hold, 5 starts")
     summary = summarize(battery, trials)
     write_trials(folder / "trials.csv", trials, asked)
@@ -119,7 +123,7 @@ def bisect(battery: Battery, tested: Tested, cfg: DictConfig, console: Console) 
     """The largest pushes recovered from, beside those of ``pose_hold``, and their files."""
     pairs = {Path(tested.name).name: tested}
     if tested.name not in BASELINES:
-        pairs["pose_hold"] = Tested("pose_hold", tested.env_cfg, None, tested.folder, 0)
+        pairs["pose_hold"] = Tested("pose_hold", tested.env_cfg, None, tested.folder, "")
     tables: dict[str, pd.DataFrame] = {}
     trials = pd.DataFrame()
     for name, each in reversed(pairs.items()):  # the run's own trials come last, and are kept
@@ -164,6 +168,7 @@ def write_comparison(
 ) -> None:
     """One table and one overlay plot of several runs on the same trials."""
     summaries = {name: summarize(battery, trials) for name, trials in results.items()}
+    short = dict(zip(results, labels(list(results)), strict=True))
     figures = ("i50_mean", "i50_min", "i90_mean", "target_smoothness", "control_falls")
     paired = compare(results)
     for figure in figures:
@@ -171,10 +176,22 @@ def write_comparison(
     paired.to_csv(folder / "comparison.csv", index=False)
     (folder / "comparison.md").write_text(markdown(paired))
     for ending in ("png", "pdf"):
-        overlay(results, folder / f"overlay.{ending}", title=f"I50, {battery.name}")
-    console.print(table({Path(name).name: summary for name, summary in summaries.items()}))
+        overlay(
+            {short[k]: v for k, v in results.items()},
+            folder / f"overlay.{ending}",
+            title=f"I50, {battery.name}",
+        )
+    console.print(table({short[name]: summary for name, summary in summaries.items()}))
     console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
     console.print(f"wrote {folder}/comparison.csv, comparison.md, overlay.png, overlay.pdf")
+
+
+def labels(names: list[str]) -> list[str]:
+    """The last folder of each name, or the whole of it if two have the same."""
+    last = [Path(name).name for name in names]
+    return [
+        short if last.count(short) == 1 else name for short, name in zip(last, names, strict=True)
+    ]
 
 
 def markdown(rows: pd.DataFrame) -> str:

@@ -56,9 +56,11 @@ class Learner:
         if not 0 <= cfg.averaging < 1:
             raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
         self._average = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.averaging))
-        shared = (
-            {"normalize": normalizer_of(self.actor)} if cfg.critic.normalize == "shared" else {}
-        )
+        shared: dict[str, Any] = {}
+        if cfg.critic.get("normalize") == "shared":
+            shared["normalize"] = normalizer_of(self.actor)
+            if shared["normalize"] is None:
+                raise ValueError("critic.normalize=shared needs an actor that has a normaliser.")
         self.critic = instantiate(cfg.critic, spec, **shared)
         self.auxiliary = [self._build(loss, self.actor) for loss in cfg.auxiliary_losses.values()]
         self.augmentation = None
@@ -69,6 +71,7 @@ class Learner:
         followed = [*self.auxiliary, self.augmentation]
         memories = (m for module in followed for m in getattr(module, "memories", ()))
         beside += {memory.key: memory for memory in memories}.values()
+        self._remembering = list({id(m): m for m in (self.actor, self.critic, *beside)}.values())
         hidden = [key for module in (self.actor, *beside) for key in recurrent_keys(module)]
         for module in (self.actor, *beside):
             if recurrent_keys(module):
@@ -189,7 +192,7 @@ class Learner:
                 if self.augmentation is not None:
                     part = self.augmentation(part)
                 if cfg.burn_in:
-                    part = burnt_in(part, [self.actor, self.critic], cfg.burn_in)
+                    part = burnt_in(part, self._remembering, cfg.burn_in)
                 out = self.loss(part)
                 for auxiliary in self.auxiliary:
                     out.update(auxiliary(part))

@@ -32,7 +32,7 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         if cfg.run is None or cfg.run in BASELINES:
             raise ValueError(f"run must be a run folder, got {cfg.run or 'none'}.")
-        env_cfg, actor, _ = load_run(cfg, cfg.run)
+        env_cfg, actor = load_run(cfg, cfg.run)
         env_cfg = keep(env_cfg, cfg.keep)
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         env = instantiate(env_cfg, base_env={"num_envs": worlds}, training=False)

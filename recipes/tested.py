@@ -1,5 +1,6 @@
 """What a battery tests: a run's policy in its env, or a baseline; and where its trials are kept."""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -27,23 +28,23 @@ class Tested:
         env_cfg: config of its env.
         actor: the policy; ``None`` for a baseline.
         folder: where its results go.
-        frames: control steps that the policy was trained for.
+        weights: digest of the policy.
     """
 
     name: str
     env_cfg: DictConfig
     actor: torch.nn.Module | None
     folder: Path
-    frames: int
+    weights: str
 
     @classmethod
     def load(cls, cfg: DictConfig, name: str, output: Path) -> "Tested":
         """From its folder, or for a baseline by its name."""
-        env_cfg, actor, frames = load_run(cfg, name)
+        env_cfg, actor = load_run(cfg, name)
         run = output / name if cfg.runs is not None else output
         folder = (run if name in BASELINES else Path(name)) / "evaluation" / cfg.battery
         folder.mkdir(parents=True, exist_ok=True)
-        return cls(name, keep(env_cfg, cfg.keep), actor, folder, frames)
+        return cls(name, keep(env_cfg, cfg.keep), actor, folder, digest(actor))
 
     @property
     def servos(self) -> bool:
@@ -52,21 +53,30 @@ class Tested:
 
     def asked(self, battery: Battery, cfg: DictConfig) -> dict[str, Any]:
         """All that the outcomes follow from: results of the same are the same."""
-        asked = {"checkpoint": cfg.checkpoint, "seed": cfg.seed, "keep": list(cfg.keep)}
-        env = OmegaConf.to_yaml(self.env_cfg, resolve=True)
-        return json.loads(
-            json.dumps(asked | {"definition": asdict(battery), "frames": self.frames, "env": env})
-        )
+        return {
+            "baseline": self.name if self.actor is None else None,
+            "weights": self.weights,
+            "seed": cfg.seed,
+            "keep": list(cfg.keep),
+            "definition": json.loads(json.dumps(asdict(battery))),
+            "env": OmegaConf.to_yaml(self.env_cfg, resolve=True),
+        }
 
 
-def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | None, int]:
-    """The env's config, the policy and its frames of training; no policy for a baseline.
+def digest(actor: torch.nn.Module | None) -> str:
+    """What tells the weights of a policy from those of any other."""
+    values = [] if actor is None else actor.state_dict().values()
+    return hashlib.sha256(b"".join(value.numpy().tobytes() for value in values)).hexdigest()
+
+
+def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | None]:
+    """The env's config, and the policy; none for a baseline.
 
     Raises:
         ValueError: if the folder holds no checkpoint, or one that does not fit.
     """
     if run in BASELINES:
-        return (cfg.env or compose("train", overrides=["num_envs=64"]).env), None, 0
+        return (cfg.env or compose("train", overrides=["num_envs=64"]).env), None
     path = Path(run) / "checkpoints" / f"{cfg.checkpoint}.pt"
     if not path.parent.parent.is_dir():
         raise ValueError(
@@ -79,7 +89,7 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
     actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
     checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
     actor.load_state_dict(content["policy"])
-    return env_cfg, actor, int(content["frames"])
+    return env_cfg, actor
 
 
 def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
@@ -103,10 +113,12 @@ def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
 
 def write_trials(path: Path, trials: pd.DataFrame, asked: dict[str, Any]) -> None:
     """Writes trials, and beside them what was asked for; never half a row."""
-    temporary = path.with_suffix(".tmp")
-    trials.to_csv(temporary, index=False)
-    path.with_suffix(".json").write_text(json.dumps(asked))
-    temporary.replace(path)
+    given = path.with_suffix(".json")
+    given.unlink(missing_ok=True)  # trials without it count for nothing
+    trials.to_csv(path.with_suffix(".tmp"), index=False)
+    path.with_suffix(".tmp").replace(path)
+    path.with_suffix(".tmp").write_text(json.dumps(asked))
+    path.with_suffix(".tmp").replace(given)
 
 
 def read_trials(path: Path, asked: dict[str, Any]) -> pd.DataFrame | None:

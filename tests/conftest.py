@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: everything seeded, on the CPU, in seconds."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,10 @@ from torchrl.envs import TransformedEnv
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 
+worker = os.environ.get("PYTEST_XDIST_WORKER")  # one of several processes: a core for each
+if worker is not None:
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
 torch.set_num_threads(1)  # tensors are small here; threads that wait for each other cost more
 
 RECIPES = Path(__file__).parents[1] / "recipes"

@@ -321,6 +321,7 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
 
 
 FAULTS = [
+    (["critic.normalize=shared", "actor.normalize=false"], "needs an actor that has a normaliser"),
     (["burn_in=8"], r"burn_in must lie in \[0, rollout_steps\), got 8"),
     (["burn_in=2"], "burn_in must be 0 without memory to refresh, got 2"),
     (["loss.normalize_advantage=epoch"], "must be minibatch, batch or null, got epoch"),

@@ -85,7 +85,7 @@ def test_a_block_tips_at_the_impulse_of_rigid_body_mechanics(tmp_path):
     )
     battery = load_battery(
         "envelope", point="percussion", directions=4, impulses=[0.4], starts=1, duration=0.004,
-        resolution=0.003, start_noise=0.0, push_time=0.3, end_time=1.8,
+        resolution=0.003, start_noise=0.0, push_time=0.1, end_time=1.4,
     )  # fmt: skip
     table, _ = run_envelope(
         battery, 0, lambda plan: run_battery(battery, cfg, None, plan=plan, num_envs=64)

@@ -90,3 +90,15 @@ def test_recovery_lasts_until_the_last_motion(make_base):
     assert table["displacement"].item() == pytest.approx(0.05)
     still_moving = follow(make_base, [record(), record(com_velocity=moving)])
     assert still_moving["recovery_time_s"].isnan()
+
+
+def test_a_step_under_way_at_the_push_counts_from_where_it_began(make_base):
+    """Lifted and carried 15 mm before the push, 15 mm more after it: one step of 30 mm."""
+    lifted = torch.tensor([[False, True]])
+    half, whole = torch.zeros(1, 2, 3), torch.zeros(1, 2, 3)
+    half[0, 0, 0], whole[0, 0, 0] = 0.015, 0.03
+    strategies = Strategies(make_base(num_envs=1))
+    strategies.before(record())
+    strategies.before(record(feet_contact=lifted, feet_position=half))
+    strategies.update(record(feet_position=whole), torch.tensor([True]), 0.04)
+    assert strategies.table(torch.tensor([False]))["steps"].item() == 1

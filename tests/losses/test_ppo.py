@@ -189,3 +189,4 @@ def test_divergence_is_that_of_the_samples_that_are_not_mirrored():
     for key in ("kl", "loss_kl"):
         assert_close(out[key], alone[key])
     assert not torch.isclose(loss(batch)["kl"], alone["kl"], rtol=1e-3)
+    assert loss(batch.set("mirrored", torch.ones(64, dtype=torch.bool)))["kl"] == 0.0

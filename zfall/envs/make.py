@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Collection, Mapping
 from typing import Any
 
+import torch
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
@@ -83,15 +84,18 @@ class HumanoidTask(TransformedEnv):
 
 
 def _copy_rows(source: TensorDictBase, into: TensorDictBase, rows: Tensor) -> None:
-    """Replaces entries by copies that have the rows ``(K,)`` of others; adds what is missing."""
-    for key, value in source.items():
-        there = into.get(key, None)
-        if there is None:
-            into.set(key, value)
-        elif isinstance(value, TensorDictBase):
-            _copy_rows(value, there, rows)
-        elif key != "_reset":
-            into.set(key, there.index_copy(0, rows, value.index_select(0, rows)))
+    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0."""
+    for key in (source.keys() | into.keys()) - {"_reset"}:
+        value, there = source.get(key, None), into.get(key, None)
+        if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
+            there = value.empty() if there is None else there
+            _copy_rows(there.empty() if value is None else value, there, rows)
+        elif value is None:
+            there = there.index_fill(0, rows, 0)
+        else:
+            there = torch.zeros_like(value) if there is None else there
+            there = there.index_copy(0, rows, value.index_select(0, rows))
+        into.set(key, there)
 
 
 class _DropSubsteps(Transform):

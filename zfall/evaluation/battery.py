@@ -199,7 +199,7 @@ def run_battery(
     """Runs all trials; returns them with their outcomes.
 
     Trials are independent of each other and of how many run together: a few of them alone come
-    out the same.
+    out the same; unless noise or delays are kept on, which are drawn for a chunk of trials.
 
     Args:
         battery: the definition.
@@ -238,6 +238,8 @@ def run_battery(
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
         start.states["joint_position"] = start_positions(battery, padded, base)
+        drawn_by = np.random.SeedSequence([seed, int(chunk["trial"].iloc[0])])
+        env.set_seed(int(drawn_by.generate_state(1)[0]))  # of noise and delays that are kept on
         push.plan = push_plan(battery, padded)
         params = trial_parameters(battery, padded, base)
         if params:

@@ -15,7 +15,9 @@ from zfall.evaluation.statistics import largest_withstood, success_table
 
 mpl.use("Agg")
 
-_LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6")]  # told apart without colour
+# Told apart without colour.
+_LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6"),
+          ("o-", "0.0"), ("s--", "0.35"), ("^:", "0.5"), ("D-.", "0.6")]  # fmt: skip
 
 
 def success_map(
@@ -119,7 +121,7 @@ def overlay(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None
             np.append(i50, i50[0]),
             line,
             color=grey,
-            label=f"{Path(name).name}: {np.mean(i50):.2f}",
+            label=f"{name}: {np.mean(i50):.2f}",
         )
     axes.set_ylim(0, None)
     axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])

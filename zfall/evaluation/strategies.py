@@ -49,20 +49,26 @@ class Strategies:
         # At the push, but for the last two: contact in the last step, and where it was last.
         self._com, self._hip = torch.zeros(n, 2), torch.zeros(n, len(self.hips))
         self._contact = torch.ones(n, 2, dtype=torch.bool)
-        self._left = torch.zeros(n, 2, 2)
+        self._left: Tensor | None = None
 
     def before(self, td: TensorDictBase) -> None:
         """Takes in a control step before the push, the last of which is what it disturbs."""
         self._com, self._hip = td["com_position"][:, :2], td["joint_position"][:, self.hips]
-        self._contact, self._left = td["feet_contact"], td["feet_position"][..., :2]
+        self._follow(td)
+
+    def _follow(self, td: TensorDictBase) -> Tensor:
+        """Contacts and where feet last stood; returns how far a foot is from there ``(N, 2)``."""
+        contact, feet = td["feet_contact"], td["feet_position"][..., :2]
+        stood = feet if self._left is None else self._left
+        self._contact = contact
+        self._left = torch.where(contact[..., None], feet, stood)
+        return (feet - stood).norm(dim=-1)
 
     def update(self, td: TensorDictBase, counted: Tensor, since_push: float) -> None:
         """Takes in a control step of the worlds ``counted`` ``(N,)`` bool."""
         com, contact = td["com_position"][:, :2], td["feet_contact"]
-        hip, feet = td["joint_position"][:, self.hips], td["feet_position"][..., :2]
-        landed = contact & ~self._contact & ((feet - self._left).norm(dim=-1) > STRIDE)
-        self._left = torch.where(contact[..., None], feet, self._left)
-        self._contact = contact
+        hip, flew = td["joint_position"][:, self.hips], ~self._contact
+        landed = contact & flew & (self._follow(td) > STRIDE)
         self.seen |= counted
         self.steps += torch.where(counted, landed.sum(-1), 0)
         away = (com - self._com).norm(dim=-1)

@@ -91,9 +91,12 @@ class PenalizedPPOLoss(ClipPPOLoss):
         out = super().forward(tensordict)
         log_ratio, self._log_ratio = self._log_ratio, None
         mirrored = tensordict.get("mirrored", None)
-        if mirrored is not None:
-            log_ratio = log_ratio[~mirrored]
-        divergence = (log_ratio.exp() - 1 - log_ratio).mean()
+        divergence = log_ratio.exp() - 1 - log_ratio
+        if mirrored is None:
+            divergence = divergence.mean()
+        else:  # of a few sequences all may be mirrored: nothing is known of the divergence then
+            drawn = (~mirrored).unsqueeze(-1)
+            divergence = (divergence * drawn).sum() / drawn.sum().clamp_min(1)
         out.set("kl", divergence.detach())
         if self.penalized:
             out.set("loss_kl", self.kl_coeff * divergence)

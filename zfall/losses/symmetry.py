@@ -91,7 +91,7 @@ class SymmetryAugmentation(nn.Module):
         share: part of the samples that are mirrored, each for itself.
 
     Raises:
-        ValueError: on a share outside of [0, 1].
+        ValueError: on a share outside of [0, 1).
 
     Source: Mittal et al., "Symmetry considerations for learning task symmetric robot policies",
     ICRA 2024, who add the images to the samples.
@@ -107,8 +107,8 @@ class SymmetryAugmentation(nn.Module):
         share: float = 0.5,
     ):
         super().__init__()
-        if not 0 <= share <= 1:
-            raise ValueError(f"share must lie in [0, 1], got {share}.")
+        if not 0 <= share < 1:
+            raise ValueError(f"share must lie in [0, 1), got {share}.")
         self.share = share
         self.mirrors = nn.ModuleDict(mirrors)
         self.memories = memories(networks, mirrors)
@@ -121,7 +121,7 @@ class SymmetryAugmentation(nn.Module):
         out = tensordict.copy()
         out["mirrored"] = rows.reshape(-1, *[1] * (tensordict.dim() - 1)).expand(tensordict.shape)
         for key, mirror in self.mirrors.items():
-            for place in (key, ("next", key)):
+            for place in (key, ("next", key), f"{key}_neighbour"):
                 if (value := tensordict.get(place, None)) is not None:
                     out[place] = _where(rows, mirror(value), value)
         for memory in self.memories:

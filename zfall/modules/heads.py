@@ -184,8 +184,8 @@ def make_head(
         if not 0 < low < high:
             raise ValueError(f"std_range must be [floor, cap], 0 < floor < cap, got {[low, high]}.")
         known["std_range"] = (low, high)
-    low, high = known.get("std_range", (0.01, 1.0) if components else (0.0, math.inf))
-    if not low < std <= high:
+    low, high = known.get("std_range", (0.01, 1.0) if components else (0.02, math.inf))
+    if learn_std and not low < std <= high:
         raise ValueError(f"std must lie above the floor {low} and not over {high}, got {std}.")
     if components == 0:
         if shared_components:

@@ -65,7 +65,7 @@ def vector_spans(spec: Composite | TensorDictBase, keys: Sequence[NestedKey]) ->
     """Where each quantity lies in their vector; a nested key as ``outer/inner``."""
     spans, begin = {}, 0
     for key in keys:
-        end = begin + spec[key].shape[1:].numel()
+        end = begin + spec[key].shape[len(spec.shape) :].numel()
         spans[key if isinstance(key, str) else "/".join(key)] = slice(begin, end)
         begin = end
     return spans
