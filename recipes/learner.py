@@ -41,6 +41,8 @@ class Learner:
                 raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
         if cfg.showcase:  # refused now rather than after the training
             load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
+        if not 0 < cfg.auxiliary_share <= 1:
+            raise ValueError(f"auxiliary_share must lie in (0, 1], got {cfg.auxiliary_share}.")
         if not 0 <= cfg.burn_in < cfg.rollout_steps:
             raise ValueError(f"burn_in must lie in [0, rollout_steps), got {cfg.burn_in}.")
         if cfg.loss.normalize_advantage not in ("minibatch", "batch", None):
@@ -194,8 +196,9 @@ class Learner:
                 if cfg.burn_in:
                     part = burnt_in(part, self._remembering, cfg.burn_in)
                 out = self.loss(part)
+                some = part[: max(1, round(cfg.auxiliary_share * len(part)))]  # drawn at random
                 for auxiliary in self.auxiliary:
-                    out.update(auxiliary(part))
+                    out.update(auxiliary(some))
                 total = sum(value for key, value in out.items() if key.startswith("loss_"))
                 total.backward()
                 clip_grad_norm_(self.parameters, cfg.max_grad_norm)

@@ -25,7 +25,15 @@ from zfall import checkpoint
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
     *("max_grad_norm", "averaging", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
-    *("optimizer", "scheduler", "showcase", "experiment", "auxiliary_losses", "augmentation"),
+    *(
+        "optimizer",
+        "scheduler",
+        "showcase",
+        "experiment",
+        "auxiliary_losses",
+        "auxiliary_share",
+        "augmentation",
+    ),
 }
 
 

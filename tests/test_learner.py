@@ -320,7 +320,20 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
     assert error["augmentation"] < error["none"]
 
 
+@pytest.mark.parametrize(("share", "rows"), [(0.25, 16), (1.0, 64), (0.001, 1)])
+def test_losses_beside_ppos_see_a_share_of_each_minibatch(compose_config, share, rows):
+    learner = Learner(
+        compose_config("num_envs=16", "rollout_steps=8", "caps=atalante", f"auxiliary_share={share}")
+    )  # fmt: skip
+    seen = []
+    (caps,) = learner.auxiliary
+    learner.auxiliary = [lambda part: seen.append(len(part)) or caps(part)]
+    learner.learn(learner.collect())
+    assert seen == [rows] * 10  # of two minibatches of 64 in each of five passes
+
+
 FAULTS = [
+    (["auxiliary_share=0"], r"auxiliary_share must lie in \(0, 1\], got 0"),
     (["critic.normalize=shared", "actor.normalize=false"], "needs an actor that has a normaliser"),
     (["burn_in=8"], r"burn_in must lie in \[0, rollout_steps\), got 8"),
     (["burn_in=2"], "burn_in must be 0 without memory to refresh, got 2"),
