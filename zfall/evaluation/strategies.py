@@ -25,10 +25,12 @@ class Strategies:
 
     Strategies, each true or false, several at once: ``stepping``: at least one step. ``jumping``:
     no foot on the floor at the end of a control step. ``foot_tilting``: a sole on the floor
-    leans by more than 0.15 rad. ``hip``: pitch or roll
-    of a hip goes 0.25 rad away from its angle at the push. ``angular_momentum``: that of the body
-    about its center of mass exceeds 0.05 m h0 sqrt(g h0). ``ankle``: none of the others, the
-    center of pressure alone. The bounds are ours; table I judges by eye.
+    leans by more than 0.15 rad. ``hip``: pitch or roll of a hip goes 0.25 rad away from its angle
+    at the push. ``angular_momentum``: that of the body about its center of mass exceeds 0.05 m h0
+    sqrt(g h0). ``ankle``: none of the others, the center of pressure alone. The bounds are ours.
+
+    Source: names of Duburcq et al., "Reactive stepping for humanoid robots using reinforcement
+    learning", IROS 2022, table I, which judges by eye.
 
     Args:
         env: the base env.
