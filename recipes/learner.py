@@ -19,7 +19,7 @@ from torchrl.objectives.value import GAE
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
-from zfall.evaluation.battery import load_battery
+from zfall.evaluation.definitions import load_battery
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys

@@ -16,8 +16,11 @@ from torch import Tensor
 
 from recipes.learner import Learner
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.evaluation.battery import Battery, battery_env, load_battery, play, run_battery
+from zfall.evaluation.battery import battery_env, play, run_battery
+from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import learning_curves, success_map
+from zfall.evaluation.report import write_report
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import film
 
@@ -52,9 +55,9 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
     }
     (folder / "summary.json").write_text(json.dumps(summaries, indent=2))
     learning_curves(pd.read_csv(folder / "metrics.csv"), plots / "learning_curves.png")
-    success_map(
-        after, plots / "planar.png", title="share recovered, short planar", baseline=baseline
-    )
+    title = "share recovered, short planar"
+    lines = references(learner.env.base_env.robot, battery.durations[0])
+    success_map(after, plots / "planar.png", title=title, baseline=baseline, lines=lines)
     console.print(table(summaries))
     if cfg.showcase.video:
         with console.status("video"):
@@ -63,6 +66,7 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
     console.print("  metrics.csv, timing.csv, tensorboard/, checkpoints/{last,best}.pt")
     film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
     console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
+    console.print(f"  {write_report(folder).name}")
     console.print(f"next: python -m recipes.evaluate run={folder} battery=planar")
 
 
@@ -119,7 +123,7 @@ def record(
     """
     env, _, push = battery_env(battery, env_cfg, 64)
     base = env.base_env
-    force = size * base.robot.impulse_unit / battery.duration
+    force = size * base.robot.impulse_unit / battery.durations[0]
     for index, degrees in enumerate(SIDES.values()):
         heading = math.radians(degrees)
         push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from zfall import checkpoint
-from zfall.evaluation.battery import Battery
+from zfall.envs.robots import ZEROTH01, Robot
+from zfall.evaluation.definitions import Battery
 
 BASELINES = ("pose_hold", "limp")
+POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class Tested:
     """A policy or baseline under test.
 
     Args:
-        name: a run folder or the name of a baseline.
+        name: a run folder, or the name of a baseline or of a policy that ships.
         env_cfg: config of its env.
         actor: the policy; ``None`` for a baseline.
         folder: where its results go.
@@ -41,10 +44,18 @@ class Tested:
     def load(cls, cfg: DictConfig, name: str, output: Path) -> "Tested":
         """From its folder, or for a baseline by its name."""
         env_cfg, actor = load_run(cfg, name)
-        run = output / name if cfg.runs is not None else output
-        folder = (run if name in BASELINES else Path(name)) / "evaluation" / cfg.battery
+        place = Path(name)
+        if name in BASELINES or _shipped(name).exists():
+            place = output / name if cfg.runs is not None else output
+        folder = place / "evaluation" / cfg.battery
         folder.mkdir(parents=True, exist_ok=True)
         return cls(name, keep(env_cfg, cfg.keep), actor, folder, digest(actor))
+
+    @property
+    def robot(self) -> Robot:
+        """The robot of its env."""
+        robot = self.env_cfg.base_env.get("robot")
+        return ZEROTH01 if robot is None else instantiate(robot)
 
     @property
     def servos(self) -> bool:
@@ -77,10 +88,14 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
     """
     if run in BASELINES:
         return (cfg.env or compose("train", overrides=["num_envs=64"]).env), None
-    path = Path(run) / "checkpoints" / f"{cfg.checkpoint}.pt"
-    if not path.parent.parent.is_dir():
+    path = _shipped(run)
+    if not path.exists():
+        path = Path(run) / "checkpoints" / f"{cfg.checkpoint}.pt"
+    if not path.exists() and not Path(run).is_dir():
+        ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
         raise ValueError(
-            f"run must be a run folder, or {' or '.join(BASELINES)}; there is no folder {run}."
+            f"run must be a run folder, or one of {', '.join((*BASELINES, *ship))}; "
+            f"there is no folder {run}."
         )
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])
@@ -90,6 +105,11 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
     checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
     actor.load_state_dict(content["policy"])
     return env_cfg, actor
+
+
+def _shipped(name: str) -> Path:
+    """File of a policy that ships with the package."""
+    return POLICIES / f"{name}.pt"
 
 
 def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from recipes.learner import Learner
-from zfall.evaluation.battery import load_battery, run_battery
+from zfall.evaluation.battery import run_battery
+from zfall.evaluation.definitions import load_battery
 
 # What each takes to get there, with some room: mixtures are slower, recurrent ones the slowest.
 FRAMES = {"mlp_gaussian": 1_200_000, "mlp_mog": 1_600_000, "gru_mog": 3_000_000}

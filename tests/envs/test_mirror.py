@@ -32,6 +32,7 @@ KEYS = (
     "feet_corner_force",
     "feet_contact",
     "contact_force_peak",
+    "contact_impulse",
 )
 
 

@@ -34,6 +34,15 @@ def test_peak_force_adds_the_parts_of_a_region_as_vectors_and_keeps_the_largest_
     assert td["contact_force_peak"].max().item() == 4.0
 
 
+def test_contact_impulse_is_the_force_over_time(read):
+    """5 N for one physics step of ten, 4.5 N for another."""
+    trunk, hip = "contact_force_peak/torso/trunk", "contact_force_peak/torso/left_hip_servo"
+    env, td = read({2: {trunk: [3.0, 0, 0], hip: [0, 4.0, 0]}, 5: {trunk: [4.5, 0, 0]}})
+    expected = torch.zeros(14)
+    expected[env.regions.index("torso")] = 9.5 * env.control_dt / env.substeps
+    assert_close(td["contact_impulse"], expected)
+
+
 def test_acceleration_is_the_mean_and_its_peak_the_largest_norm(read):
     _, td = read(
         {0: {"base_acceleration": [10.0, 0, 0]}, 9: {"base_acceleration": [0, -30.0, 40.0]}}

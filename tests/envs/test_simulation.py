@@ -95,3 +95,18 @@ def test_diverged_world_is_reported_and_leaves_the_others_alone(model):
     assert simulation.diverged.tolist() == [False, False, True, False]
     others = torch.tensor([0, 1, 3])
     assert torch.equal(simulation.qpos[others], reference.qpos[others])
+
+
+def test_worlds_that_do_not_step_stay_and_change_no_other(model):
+    whole, control = make(model, 5)
+    part, _ = make(model, 5)
+    part.step_only(torch.tensor([True, False, True, True, False]))
+    before = part.qpos.clone()
+    whole.step(control)
+    part.step(control)
+    assert torch.equal(part.qpos[[0, 2, 3]], whole.qpos[[0, 2, 3]])
+    assert torch.equal(part.qpos[[1, 4]], before[[1, 4]])
+    assert not part.diverged.any()  # a world that stands still has not failed
+    part.step_only(None)
+    part.step(control)
+    assert not torch.equal(part.qpos[1], before[1])

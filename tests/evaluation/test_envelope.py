@@ -10,7 +10,8 @@ from omegaconf import OmegaConf
 
 from tests.block import HALF_HEIGHT, HALF_WIDTH, MASS, block_robot, inertia
 from zfall.envs.robots import GRAVITY, PushPoint, Robot
-from zfall.evaluation.battery import load_battery, run_battery
+from zfall.evaluation.battery import run_battery
+from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.envelope import run_envelope
 
 

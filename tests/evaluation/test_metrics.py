@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from zfall.evaluation.battery import load_battery
+from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.metrics import Outcomes, spectral_smoothness
 
 
@@ -23,6 +23,9 @@ def record(regions: int, **values: torch.Tensor) -> TensorDict:
         "joint_velocity": torch.zeros(3, 20),
         "joint_position": torch.zeros(3, 20),
         "com_velocity": torch.zeros(3, 3),
+        "base_linear_velocity": torch.zeros(3, 3),
+        "base_angular_velocity": torch.zeros(3, 3),
+        "contact_impulse": torch.zeros(3, regions),
         "angular_momentum": torch.zeros(3, 3),
         "feet_contact": torch.ones(3, 2, dtype=torch.bool),
         "feet_position": torch.zeros(3, 2, 3),

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from zfall.evaluation.battery import load_battery
+from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.statistics import largest_withstood, success_table, summarize, wilson
 
 

@@ -69,6 +69,7 @@ class HumanoidEnv(EnvBase):
     feet_contact             2         bool, at the last physics step
     contact_force_peak       R         norm of the floor's force on each of ``regions``,
                                        largest over the step [N]
+    contact_impulse          R         that norm, integrated over the step [N s]
     diverged                 1         bool, the physics failed; the world has terminated
     ("ball", "position")     3         its center, if there is a ball [m; world]
     ("ball", "velocity")     3         [m/s; world]
@@ -147,6 +148,7 @@ class HumanoidEnv(EnvBase):
             torch.tensor([int(j.qposadr[0]) for j in joints]),
             torch.tensor([int(j.dofadr[0]) for j in joints]),
             self.mass,
+            control_dt,
         )
         # Joints in the order of the model's actuators.
         self._to_actuators = torch.tensor(
@@ -176,7 +178,7 @@ class HumanoidEnv(EnvBase):
             **dict.fromkeys(("linear_momentum", "angular_momentum"), (3,)),
             **dict.fromkeys(("feet_position", "feet_velocity", "feet_force"), (2, 3)),
             **{"feet_orientation": (2, 4), "feet_cop": (2, 2), "feet_corner_force": (2, 4)},
-            "contact_force_peak": (len(self.regions),),
+            **dict.fromkeys(("contact_force_peak", "contact_impulse"), (len(self.regions),)),
         }
         self.observation_spec = Composite(
             {key: Unbounded((n, *shape)) for key, shape in shapes.items()}

@@ -127,7 +127,7 @@ def mirror_quantity(robot: Robot, name: str) -> Permutation:
     special: dict[str, Callable[[], Permutation]] = {
         **dict.fromkeys(_JOINTS, lambda: (robot.mirror_index, robot.mirror_sign)),
         "feet_corner_force": lambda: _corners(robot),
-        "contact_force_peak": lambda: _regions(robot),
+        **dict.fromkeys(("contact_force_peak", "contact_impulse"), lambda: _regions(robot)),
     }
     if name not in special:
         known = ", ".join((*_SIGNS, *_FOOT_SIGNS, *special))

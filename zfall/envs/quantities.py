@@ -32,6 +32,7 @@ class Quantities:
         sensors: where each MJCF sensor's values lie in ``sensordata``.
         qpos_index, qvel_index: where each joint's angle and speed lie in the state ``(J,)``.
         mass: total mass [kg].
+        control_dt: length of a control step [s].
     """
 
     def __init__(
@@ -41,7 +42,9 @@ class Quantities:
         qpos_index: Tensor,
         qvel_index: Tensor,
         mass: float,
+        control_dt: float,
     ):
+        self._control_dt = control_dt
         self.qpos_index, self.qvel_index, self.mass = qpos_index, qvel_index, mass
 
         def columns(*names: str) -> Tensor:
@@ -101,8 +104,10 @@ class Quantities:
             "base_angular_velocity": qvel[:, 3:6].contiguous(),
             "base_acceleration": acceleration.mean(1),
             "base_acceleration_peak": acceleration.norm(dim=-1).amax(1, keepdim=True),
-            "contact_force_peak": self._peak_force(sensors[..., self._forces].float()),
         }
+        strength = self._region_force(sensors[..., self._forces].float())
+        out["contact_force_peak"] = strength.amax(1)
+        out["contact_impulse"] = strength.mean(1) * self._control_dt
         for key, (span, shape) in self._last.items():
             out[key] = last[:, span].reshape(-1, *shape).clone()
         out["linear_momentum"] = (self.mass if mass is None else mass) * out["com_velocity"]
@@ -151,10 +156,10 @@ class Quantities:
         }
         return {key: read[key]().float() for key in keys}
 
-    def _peak_force(self, forces: Tensor) -> Tensor:
-        """Largest norm over the step of the force on each region ``(K, R)`` [N]."""
+    def _region_force(self, forces: Tensor) -> Tensor:
+        """Norm of the force on each region in each physics step ``(K, S, R)`` [N]."""
         x, y, z = (forces @ self._region).chunk(3, -1)
-        return (x.square() + y.square() + z.square()).amax(1).sqrt()
+        return (x.square() + y.square() + z.square()).sqrt()
 
 
 def _span(columns: Tensor) -> slice | Tensor:

@@ -73,6 +73,7 @@ class Simulation:
         self._scratch = [mujoco.MjData(model) for _ in range(self.threads)]  # of the workers
         self._largest: Future[NDArray[np.float64]] | None = None  # of the last step's values
         self._late = torch.zeros(num_worlds, dtype=torch.bool)
+        self._stepped: Tensor | None = None  # numbers of the worlds that step; None: all
         self._deriving: list[Future[None]] = []
         size = mujoco.mj_stateSize(model, _STATE)
         inputs = model.nu + 6 * model.nbody
@@ -117,11 +118,16 @@ class Simulation:
             self._inputs[:, :, nu:] = 0.0
         else:  # the world body, which comes first, keeps its zeros
             self._inputs[:, :, nu + 6 :] = wrench.flatten(-2)
-        self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
+        if self._stepped is None:
+            self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
+        else:
+            self._roll_some(self._stepped)
         self._largest = self._workers.submit(_largest, self._sensors.numpy(), self._states.numpy())
         end = self._states[:, -1]
         passed = end[:, 0] - self._state[:, 0]  # a world that MuJoCo gave up on lags behind
         self._late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
+        if self._stepped is not None:
+            self._late &= torch.zeros_like(self._late).index_fill(0, self._stepped, True)
         self._state.copy_(end)
         return self._sensors
 
@@ -135,6 +141,13 @@ class Simulation:
             largest, self._largest = torch.from_numpy(self._largest.result()), None
             self._diverged = ~(largest < BOUND) | self._late
         return self._diverged
+
+    def step_only(self, rows: Tensor | None) -> None:
+        """From now on steps the worlds in ``rows`` ``(N,)`` bool alone, or all of them again.
+
+        The others keep their state and sensor values, and cost nothing.
+        """
+        self._stepped = None if rows is None else rows.nonzero()[:, 0]
 
     def reset(self, rows: Tensor, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
         """Puts the worlds in ``rows`` ``(N,)`` bool into a new state.
@@ -240,6 +253,15 @@ class Simulation:
             state=states.numpy(),
             sensordata=sensors.numpy(),
         )
+
+    def _roll_some(self, rows: Tensor) -> None:
+        """Steps a few worlds, in copies of their rows."""
+        if not len(rows):
+            return
+        states, sensors = self._states[rows], self._sensors[rows]
+        models = [self._models[row] for row in rows.tolist()]
+        self._roll(models, self._state[rows], self._inputs[rows], states, sensors)
+        self._states[rows], self._sensors[rows] = states, sensors
 
     def state_dict(self) -> dict[str, Tensor]:
         """Everything that ``step`` depends on."""

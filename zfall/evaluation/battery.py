@@ -1,14 +1,10 @@
-"""Push batteries: what is tried, and how it is run."""
+"""Runs the trials of a battery in parallel worlds."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from importlib.resources import files
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
-import yaml
 from hydra.utils import instantiate
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
@@ -23,97 +19,13 @@ from zfall.envs.threads import physics_first
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
+from zfall.evaluation.definitions import Battery, plan_pushes, plan_trials
 from zfall.evaluation.metrics import Outcomes
 from zfall.modules.actors import recurrent_keys
 
 BLOCK = 64  # worlds in one call of a policy, always: a trial re-run alone is the same trial
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Battery:
-    """Definition of a planar battery; the fields are explained in ``batteries.yaml``."""
-
-    version: int
-    name: str
-    point: str | tuple[str, ...]
-    directions: int
-    impulses: tuple[float, ...]
-    starts: int
-    start_noise: float
-    push_time: float
-    duration: float
-    end_time: float
-    max_tilt: float
-    min_height: float
-    foot_friction: float | None
-    mass_factor: tuple[float, float] | None
-    load: tuple[float, float] | None
-    resolution: float | None
-
-
-def load_battery(name: str, **options: Any) -> Battery:
-    """A battery by name, with some of its numbers replaced.
-
-    Raises:
-        ValueError: if there is no such battery or no such option.
-    """
-    table = yaml.safe_load(files("zfall.evaluation").joinpath("batteries.yaml").read_text())
-    version = table.pop("battery_version")
-    if name not in table:
-        raise ValueError(f"battery must be one of {', '.join(table)}, got {name!r}.")
-    unknown = sorted(set(options) - set(table[name]))
-    if unknown:
-        raise ValueError(
-            f"options of battery {name} are {', '.join(table[name])}, got {unknown[0]}."
-        )
-    numbers = table[name] | options
-    numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
-    if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
-        raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
-    if not isinstance(numbers["point"], str):
-        numbers["point"] = tuple(numbers["point"])
-    resolution = numbers["resolution"]
-    if resolution is not None and not 0 < resolution < max(numbers["impulses"]):
-        raise ValueError(
-            f"resolution must lie between 0 and the largest of impulses, got {resolution}."
-        )
-    for key in ("mass_factor", "load"):
-        numbers[key] = None if numbers[key] is None else tuple(numbers[key])
-    for key in ("directions", "starts"):
-        if numbers[key] < 1:
-            raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
-    return Battery(version=version, name=name, **numbers)
-
-
-def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
-    """One row per trial: push point x impulse x direction x start; a control arm of impulse 0.
-
-    Args:
-        battery: the definition.
-        impulse_unit: impulse of dimensionless size 1 of the robot [N s].
-        seed: of the battery; a trial's own randomness comes from ``[seed, trial]``.
-    """
-    points = push_points(battery)
-    cells = [(0.0, points[0]), *((i, point) for point in points for i in battery.impulses)]
-    rows = [
-        {"direction_rad": 2 * np.pi * d / battery.directions, "impulse": impulse, "body": point}
-        for impulse, point in cells
-        for d in range(battery.directions)
-        for _ in range(battery.starts)
-    ]
-    trials = pd.DataFrame(rows)
-    trials.insert(0, "trial", range(len(trials)))
-    trials.insert(3, "duration_s", battery.duration)
-    trials.insert(4, "force_n", trials["impulse"] * impulse_unit / battery.duration)
-    trials["seed"] = seed
-    return trials
-
-
-def push_points(battery: Battery) -> tuple[str, ...]:
-    """Where the battery pushes."""
-    return (battery.point,) if isinstance(battery.point, str) else battery.point
 
 
 def start_positions(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) -> Tensor:
@@ -156,7 +68,7 @@ def between(bounds: tuple[float, float], share: NDArray[np.float64]) -> NDArray[
 
 
 def battery_env(
-    battery: Battery, cfg: DictConfig, num_envs: int, *, servos: bool = True
+    battery: Battery, cfg: DictConfig, num_envs: int, *, servos: bool = True, pushes: int = 1
 ) -> tuple[TransformedEnv, ScriptedStart, ScriptedPush]:
     """The env of a run as a battery uses it: its control and observation, our starts and pushes.
 
@@ -165,15 +77,17 @@ def battery_env(
         cfg: config of the env, as in ``recipes/env``; its ``training_only`` is left out.
         num_envs: number of worlds.
         servos: whether the servos act at all.
+        pushes: how many a trial has at most.
     """
     base = instantiate(cfg.base_env, num_envs=num_envs, servos=servos, _convert_="all")
     start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
+    points = [*battery.points, *battery.points[:1] * (pushes - len(battery.points))]
     push = ScriptedPush(
         base,
-        point=list(push_points(battery)),
-        duration=battery.duration,
+        point=points,  # of each push; a trial's own are given in their buffer
+        duration=battery.durations[0],
         time=battery.push_time,
-        plan=torch.zeros(num_envs, len(push_points(battery)), 3),  # one for each point
+        plan=torch.zeros(num_envs, len(points), 3),
     )
     table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
     training_only = OmegaConf.select(cfg, "training_only", default={})
@@ -199,7 +113,8 @@ def run_battery(
     """Runs all trials; returns them with their outcomes.
 
     Trials are independent of each other and of how many run together: a few of them alone come
-    out the same; unless noise or delays are kept on, which are drawn for a chunk of trials.
+    out the same; unless noise or delays are kept on, which are drawn for a chunk of trials. A world
+    whose outcome is known is not stepped any more.
 
     Args:
         battery: the definition.
@@ -215,14 +130,17 @@ def run_battery(
         keep: is given what is finished so far after every chunk of trials.
         watch: is given the base env and what followed each control step.
     """
-    trials = plan_trials(battery, 1.0, seed) if plan is None else plan.copy()
+    unit = instantiate(cfg.base_env, num_envs=1, _convert_="all").robot.impulse_unit
+    trials = plan_trials(battery, unit, seed) if plan is None else plan.copy()
+    trials["force_n"] = trials["impulse"] * unit / trials["duration_s"]
+    pushes = plan_pushes(battery, trials)
     count = len(trials) if only is None else len(only)
     worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
-    env, start, push = battery_env(battery, cfg, worlds, servos=servos)
+    events = pushes.time.shape[1]
+    env, start, push = battery_env(battery, cfg, worlds, servos=servos, pushes=events)
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     base = env.base_env
-    trials["force_n"] = trials["impulse"] * base.robot.impulse_unit / trials["duration_s"]
     if only is not None:
         unknown = sorted(set(only) - set(trials["trial"]))
         if unknown:
@@ -240,18 +158,31 @@ def run_battery(
         start.states["joint_position"] = start_positions(battery, padded, base)
         drawn_by = np.random.SeedSequence([seed, int(chunk["trial"].iloc[0])])
         env.set_seed(int(drawn_by.generate_state(1)[0]))  # of noise and delays that are kept on
-        push.plan = push_plan(battery, padded)
+        planned = pushes[padded.index.to_numpy()]
+        for buffer, value in (
+            (push.time, planned.time),
+            (push.plan, planned.force),
+            (push.duration, planned.duration),
+            (push.index, planned.point),
+        ):
+            buffer[:, :events] = value
+        push.time[:, events:] = torch.inf
         params = trial_parameters(battery, padded, base)
         if params:
             base.set_physics_params(TensorDict(params, batch_size=[worlds]))
         outcomes = Outcomes(base, battery)
+        base.simulation.step_only(None)
         for step, td in enumerate(play(env, actor, steps)):
             outcomes.update(td)
             watch(base, td)
             progress(index * steps + step + 1, len(chunks) * steps)
             if outcomes.settled.all():
                 break
+            if outcomes.settled.any():
+                base.simulation.step_only(~outcomes.settled)
         table = outcomes.table().iloc[: len(chunk)]
+        if battery.interval is not None:
+            table["withstood"] = withstood(pushes[chunk.index.to_numpy()].time, outcomes)
         drawn = {"link_mass": "mass_factor", "payload": "load_kg"}
         for name in drawn.keys() & params.keys():
             table[drawn[name]] = params[name].amax(1)[: len(chunk)].double().numpy()
@@ -260,20 +191,17 @@ def run_battery(
     return pd.concat(results, ignore_index=True).sort_values("trial", ignore_index=True)
 
 
-def push_forces(trials: pd.DataFrame) -> Tensor:
-    """Force of each trial ``(len(trials), 3)`` [N; world]."""
-    heading, force = trials["direction_rad"].to_numpy(), trials["force_n"].to_numpy()
-    plan = np.stack([force * np.cos(heading), force * np.sin(heading), 0 * force], -1)
-    return torch.tensor(plan).float()
+def withstood(time: Tensor, outcomes: Outcomes) -> NDArray[np.int64]:
+    """Pushes in a row that each trial withstood ``(K,)``: those begun, but the one it fell after.
 
-
-def push_plan(battery: Battery, trials: pd.DataFrame) -> Tensor:
-    """Forces ``(len(trials), points, 3)`` [N; world], zero but at the point of the trial."""
-    points = push_points(battery)
-    plan = torch.zeros(len(trials), len(points), 3)
-    places = torch.tensor([points.index(body) for body in trials["body"]])
-    plan[torch.arange(len(trials)), places] = push_forces(trials)
-    return plan
+    Args:
+        time: when the pushes begin ``(K, E)`` [s].
+        outcomes: of at least K worlds.
+    """
+    fell = outcomes.fell[: len(time)]
+    end = outcomes.fall_time[: len(time)].nan_to_num(outcomes.battery.end_time)
+    begun = (time < end[:, None] - 1e-6).sum(1)
+    return (begun - fell.long()).clamp_min(0).numpy()
 
 
 def play(

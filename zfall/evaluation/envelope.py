@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
-from zfall.evaluation.battery import Battery, plan_trials
+from zfall.evaluation.definitions import Battery, plan_trials
 
 
 def run_envelope(
-    battery: Battery, seed: int, run: Callable[[pd.DataFrame], pd.DataFrame]
+    battery: Battery, seed: int, run: Callable[[pd.DataFrame], pd.DataFrame], *, unit: float = 1.0
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Bisects the impulse of every cell, direction x push point, all at once.
 
@@ -20,6 +20,7 @@ def run_envelope(
         battery: the definition, with a ``resolution``.
         seed: of the battery.
         run: runs a plan of trials, with the columns of ``plan_trials``.
+        unit: impulse of dimensionless size 1 [N s].
 
     Returns:
         One row per cell: ``direction_rad``, ``body``, ``largest``, the largest impulse that was
@@ -28,7 +29,7 @@ def run_envelope(
     """
     top = max(battery.impulses)
     resolution = battery.resolution or top
-    whole = plan_trials(battery, 1.0, seed)
+    whole = plan_trials(battery, unit, seed)
     pushed = whole[whole["impulse"] == top].reset_index(drop=True)
     cells = pushed[["direction_rad", "body"]].iloc[:: battery.starts].reset_index(drop=True)
     low, high = np.zeros(len(cells)), np.full(len(cells), top)

@@ -1,7 +1,5 @@
 """What a trial is judged by, measured on true quantities."""
 
-from typing import TYPE_CHECKING
-
 import pandas as pd
 import torch
 from tensordict import TensorDictBase
@@ -10,13 +8,11 @@ from torch import Tensor
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
+from zfall.evaluation.definitions import Battery
 from zfall.evaluation.effort import Effort
+from zfall.evaluation.kneeling import Kneeling
 from zfall.evaluation.strategies import Strategies
 
-if TYPE_CHECKING:
-    from zfall.evaluation.battery import Battery
-
-AFTERMATH = 0.5  # time after the first touch in which peaks still count [s]
 STANDING = 2.0  # time before the push in which smoothness is measured [s]
 
 
@@ -47,17 +43,18 @@ class Outcomes:
 
     ``fell``: any region but the feet touched the floor (or the physics failed). ``recovered``:
     not fallen until the end, and then upright and high enough. Peaks are taken from the push on,
-    over physics steps, until the trial ends or for half a second after the first touch; then a
-    trial is ``settled``: nothing that follows counts. ``target_smoothness`` is the
+    over physics steps, until the trial ends or for the battery's ``aftermath`` after the first
+    touch; then a trial is ``settled``: nothing that follows counts. ``target_smoothness`` is the
     ``spectral_smoothness`` of the joint targets [rad] in the last two seconds before the push.
-    ``Effort`` and ``Strategies`` count from the push until the first touch.
+    ``Effort`` and ``Strategies`` count from the push until the first touch, ``Kneeling`` until
+    the trial is settled.
 
     Args:
         env: the base env.
         battery: gives the times and the bounds.
     """
 
-    def __init__(self, env: HumanoidEnv, battery: "Battery"):
+    def __init__(self, env: HumanoidEnv, battery: Battery):
         n = env.num_envs
         self.battery, self.control_dt = battery, env.control_dt
         self.height = battery.min_height * env.robot.com_height
@@ -71,7 +68,7 @@ class Outcomes:
         self.peak_tilt = torch.zeros(n)
         self.upright = torch.zeros(n, dtype=torch.bool)
         self._targets: list[Tensor] = []
-        self.effort, self.strategies = Effort(env), Strategies(env)
+        self.effort, self.strategies, self.kneeling = Effort(env), Strategies(env), Kneeling(env)
 
     def update(self, td: TensorDictBase) -> None:
         """Takes in what followed a control step."""
@@ -83,7 +80,8 @@ class Outcomes:
         self.time_to_fall = torch.where(first, since_push, self.time_to_fall)
         angle = tilt(td["base_orientation"])
         self.upright = (angle < self.battery.max_tilt) & (td["com_position"][:, 2] > self.height)
-        self.settled = self.fell & (since_push >= self.time_to_fall + AFTERMATH)
+        if self.battery.aftermath is not None:
+            self.settled = self.fell & (since_push >= self.time_to_fall + self.battery.aftermath)
         if -STANDING + 1e-6 < since_push < 1e-6:
             self._targets.append(td["target"].clone())
         if since_push < 1e-6:
@@ -92,6 +90,7 @@ class Outcomes:
             counted = ~self.settled
             self.effort.update(td, counted & (~self.fell | first))
             self.strategies.update(td, counted & (~self.fell | first), since_push)
+            self.kneeling.update(td, counted, first, since_push)
             for name, value in (
                 ("peak_base_acceleration", td["base_acceleration_peak"].squeeze(-1)),
                 ("peak_contact_force", td["contact_force_peak"]),
@@ -101,20 +100,25 @@ class Outcomes:
                 mask = counted if value.ndim == 1 else counted[:, None]
                 setattr(self, name, torch.where(mask, torch.maximum(peak, value), peak))
 
+    @property
+    def fall_time(self) -> Tensor:
+        """When each trial fell ``(N,)`` [s since it began]; not a number if it did not."""
+        return self.time_to_fall + self.battery.push_time
+
     def table(self) -> pd.DataFrame:
         """One row per trial."""
         body_peak = self.peak_contact_force[:, :-2]  # the feet come last
         columns = {
             "recovered": (self.upright & ~self.fell).numpy(),
             "fell": self.fell.numpy(),
-            "kneeled": torch.zeros_like(self.fell).numpy(),
+            "kneeled": (self.kneeling.kneeled & self.fell).numpy(),
             "time_to_fall_s": self.time_to_fall.numpy(),
             "peak_tilt": self.peak_tilt.numpy(),
             "peak_base_acceleration": self.peak_base_acceleration.numpy(),
             "peak_contact_force": body_peak.amax(-1).numpy(),
             "target_smoothness": self._smoothness().numpy(),
         }
-        measured = self.strategies.table(self.fell) | self.effort.table()
+        measured = self.strategies.table(self.fell) | self.effort.table() | self.kneeling.table()
         columns |= {name: value.numpy() for name, value in measured.items()}
         for index, region in enumerate(self.regions):
             columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()

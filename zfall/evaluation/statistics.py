@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from zfall.evaluation.battery import Battery
+from zfall.evaluation.comparison import bootstrap_interval
+from zfall.evaluation.definitions import Battery
 
 
 def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -39,6 +40,53 @@ def success_table(trials: pd.DataFrame) -> pd.DataFrame:
     )
 
 
+def withstood_table(trials: pd.DataFrame) -> pd.DataFrame:
+    """Mean pushes withstood in a row by ``body``, ``duration_s`` and ``impulse``.
+
+    Columns besides: ``withstood_low``, ``withstood_high``, its bootstrap 95 % interval over
+    episodes, and ``fell``, the share of them that ended in a fall.
+    """
+    rows = []
+    for (body, duration, impulse), group in trials[trials["impulse"] > 0].groupby(
+        ["body", "duration_s", "impulse"], sort=False
+    ):
+        low, high = bootstrap_interval(group["withstood"].tolist())
+        rows.append(
+            {
+                "body": body,
+                "duration_s": duration,
+                "impulse": impulse,
+                "withstood": float(group["withstood"].mean()),
+                "withstood_low": low,
+                "withstood_high": high,
+                "fell": float(group["fell"].mean()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def summarize_spherical(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
+    """The summary of battery ``spherical``: its ``withstood_table`` and the control arm."""
+    return head(battery, trials) | {
+        "withstood": withstood_table(trials).to_dict("records"),
+        "withstood_mean": float(trials["withstood"][trials["impulse"] > 0].mean()),
+    }
+
+
+def head(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
+    """What every summary says."""
+    control = trials[trials["impulse"] == 0]
+    return {
+        "battery": battery.name,
+        "battery_version": battery.version,
+        "definition": asdict(battery),
+        "seed": int(trials["seed"].iloc[0]),
+        "n": len(trials),
+        "control_falls": int(control["fell"].sum()),
+        "control_n": len(control),
+    }
+
+
 def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
     """The summary of a planar battery: headline figures and success by impulse.
 
@@ -50,12 +98,7 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
     i50 = [largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()]
     i90 = [largest_withstood(impulses, rates, 0.9) for rates in table.to_numpy()]
     control = trials[trials["impulse"] == 0]
-    summary: dict[str, Any] = {
-        "battery": battery.name,
-        "battery_version": battery.version,
-        "definition": asdict(battery),
-        "seed": int(trials["seed"].iloc[0]),
-        "n": len(trials),
+    summary: dict[str, Any] = head(battery, trials) | {
         "i50_mean": float(np.mean(i50)),
         "i50_min": float(np.min(i50)),
         "i90_mean": float(np.mean(i90)),
@@ -67,8 +110,6 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
         "success_low": {},
         "success_high": {},
         "force_n": {},
-        "control_falls": int(control["fell"].sum()),
-        "control_n": len(control),
         "target_smoothness": float(control["target_smoothness"].mean()),
     }
     for impulse, group in trials[trials["impulse"] > 0].groupby("impulse"):

@@ -1,5 +1,7 @@
 """How a push was met: steps, displacement, time, and the strategies of Duburcq et al., table I."""
 
+import numpy as np
+import pandas as pd
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -100,6 +102,27 @@ class Strategies:
             "strategy/ankle": self.seen & ~others,
             **{f"strategy/{name}": value for name, value in self.flags.items()},
         }
+
+
+def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
+    """Share of recovered trials in which each strategy was seen, by side and size of the push.
+
+    Rows: ``side`` (a quarter of the directions: forward, left, backward, right), ``impulse``,
+    ``recovered``, the number of trials counted; then a share for each strategy.
+    """
+    counted = trials[trials["recovered"] & (trials["impulse"] > 0)]
+    sides = np.array(["forward", "left", "backward", "right"])
+    quarter = np.round(counted["direction_rad"].to_numpy() / (np.pi / 2) - 1e-9).astype(int) % 4
+    names = [str(name) for name in trials if str(name).startswith("strategy/")]
+    groups = counted.assign(side=sides[quarter]).groupby(["side", "impulse"], sort=False)
+    table = groups[names].mean().rename(columns=lambda name: name.removeprefix("strategy/"))
+    table.insert(0, "recovered", groups.size())
+    order = {side: place for place, side in enumerate(sides)}
+    return table.reset_index().sort_values(
+        ["side", "impulse"],
+        key=lambda column: column.map(lambda x: order.get(x, x)),
+        ignore_index=True,
+    )
 
 
 def _bends_at_the_hip(joint: str) -> bool:

@@ -1,27 +1,31 @@
-"""Plots of batteries and of training."""
+"""Polar plots: what is withstood, by the direction of the push."""
 
 import itertools
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 
+from zfall.evaluation.pendulum import CAPTION, Reference
 from zfall.evaluation.statistics import largest_withstood, success_table
 
-mpl.use("Agg")
-
 # Told apart without colour.
-_LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6"),
+LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6"),
           ("o-", "0.0"), ("s--", "0.35"), ("^:", "0.5"), ("D-.", "0.6")]  # fmt: skip
 
 
 def success_map(
-    trials: pd.DataFrame, path: Path, *, title: str, baseline: pd.DataFrame | None = None
+    trials: pd.DataFrame,
+    path: Path,
+    *,
+    title: str,
+    baseline: pd.DataFrame | None = None,
+    lines: Sequence[Reference] = (),
 ) -> None:
     """Polar map of the success rate: angle is the push's heading, radius its impulse.
 
@@ -33,6 +37,7 @@ def success_map(
         path: file to write; its ending gives the format.
         title: above the plot.
         baseline: trials of ``pose_hold`` in the same battery.
+        lines: drawn besides, with a caption that says what they are.
     """
     table = success_table(trials)
     directions, impulses = table.index.to_numpy(), table.columns.to_numpy()
@@ -42,7 +47,7 @@ def success_map(
     arc = 12  # straight pieces that make up the arc of a cell
     pieces = width * (np.arange(len(directions) * arc + 1) / arc - 0.5)
     angles = directions[0] + pieces
-    figure = Figure(figsize=(5.2, 5.0), layout="constrained")
+    figure = Figure(figsize=(5.2, 5.6), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
     mesh = axes.pcolormesh(
@@ -60,9 +65,11 @@ def success_map(
         tables.append(success_table(baseline))
         _draw_i50(axes, tables[1], ":", "I50 of pose_hold")
     withstood = max([0.0, *(float(i) for x in tables for i in x.columns[(x > 0).any()])])
-    reach = min(edges[-1], withstood + 2.5 * step)
+    known = max([0.0, *(float(line.impulse.max()) for line in lines)]) + step
+    reach = min(edges[-1], max(withstood + 2.5 * step, known))
+    _draw_references(axes, lines, "white", rim=True)
     axes.set_ylim(0, reach)
-    if reach < edges[-1]:  # the rest of the map would be empty
+    if withstood + step < impulses[-1]:  # the rest of the map would be empty
         title += f"; none from {withstood + step:.1f} to {impulses[-1]:.1f}"
     axes.grid(False)
     axes.set_thetagrids(
@@ -74,15 +81,37 @@ def success_map(
     axes.set_title(title, fontsize=11)
     axes.legend(
         loc="lower left",
-        bbox_to_anchor=(-0.12, -0.1),
-        fontsize=8,
+        bbox_to_anchor=(-0.16, -0.2),
+        fontsize=7,
         facecolor="0.45",
         labelcolor="white",
         framealpha=1,
     )
     bar = figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1)
     bar.set_label("share of trials recovered")
-    figure.savefig(path, dpi=160)
+    _save(figure, path, lines)
+
+
+def _draw_references(
+    axes: Any, lines: Sequence[Reference], color: str, *, rim: bool = False
+) -> None:
+    """Adds thin lines, and crosses where a reference has but a few directions."""
+    rims = {"path_effects": [Stroke(linewidth=2.4, foreground="black"), Normal()]} if rim else {}
+    styles = itertools.cycle(["-.", "--", (0, (1, 2)), "-"])
+    for line, style in zip(lines, styles, strict=False):
+        if len(line.angle) < 12:
+            axes.plot(line.angle, line.impulse, "x", color=color, ms=6, label=line.name, **rims)
+        else:
+            axes.plot(
+                line.angle, line.impulse, color=color, lw=1, ls=style, label=line.name, **rims
+            )
+
+
+def _save(figure: Figure, path: Path, lines: Sequence[Reference] = ()) -> None:
+    """Writes a figure, with a caption on its reference lines if it has any."""
+    if lines:
+        figure.supxlabel("\n".join(textwrap.wrap(CAPTION, 82)), fontsize=7, color="0.3")
+    figure.savefig(path, dpi=200)
 
 
 def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
@@ -101,18 +130,21 @@ def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
     )
 
 
-def overlay(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None:
+def overlay(
+    runs: Mapping[str, pd.DataFrame], path: Path, *, title: str, lines: Sequence[Reference] = ()
+) -> None:
     """Polar lines of I50 by direction, one for each run, told apart in grey by their dashes.
 
     Args:
         runs: trials of one planar battery by name.
         path: file to write; its ending gives the format.
         title: above the plot.
+        lines: drawn besides, in light grey.
     """
-    figure = Figure(figsize=(4.6, 4.6), layout="constrained")
+    figure = Figure(figsize=(4.6, 5.2), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
-    for (name, trials), (line, grey) in zip(runs.items(), itertools.cycle(_LINES), strict=False):
+    for (name, trials), (line, grey) in zip(runs.items(), itertools.cycle(LINES), strict=False):
         table = success_table(trials)
         i50 = [largest_withstood(table.columns.to_numpy(), r, 0.5) for r in table.to_numpy()]
         angles = table.index.to_numpy()
@@ -123,67 +155,47 @@ def overlay(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None
             color=grey,
             label=f"{name}: {np.mean(i50):.2f}",
         )
+    _draw_references(axes, lines, "0.6")
     axes.set_ylim(0, None)
     axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])
     axes.set_title(title, fontsize=10)
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.15, -0.15), fontsize=8, title="mean I50")
-    figure.savefig(path, dpi=200)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.2, -0.25), fontsize=7, title="mean I50")
+    _save(figure, path, lines)
 
 
-def envelope_plot(tables: Mapping[str, pd.DataFrame], path: Path, *, title: str) -> None:
+def envelope_plot(
+    tables: Mapping[str, pd.DataFrame], path: Path, *, title: str, lines: Sequence[Reference] = ()
+) -> None:
     """Largest impulse recovered from by direction, a polar plot for each push point.
 
     Args:
         tables: of ``run_envelope`` by name of the policy; told apart in grey by their dashes.
         path: file to write; its ending gives the format.
         title: above the plots.
+        lines: drawn besides, in light grey; named in the first plot alone.
     """
     bodies = list(dict.fromkeys(next(iter(tables.values()))["body"]))
     columns, rows = min(len(bodies), 2), -(-len(bodies) // 2)
     figure = Figure(figsize=(3.4 * columns, 3.6 * rows), layout="constrained")
-    reach = 1.05 * max(0.1, *(float(table["largest"].max()) for table in tables.values()))
+    most = (float(table["largest"].max()) for table in tables.values())
+    reach = 1.05 * max([0.1, *most, *(float(line.impulse.max()) for line in lines)])
     for place, body in enumerate(bodies, 1):
         axes: Any = figure.add_subplot(rows, columns, place, projection="polar")
         axes.set_theta_zero_location("N")
-        lines = zip(tables.items(), itertools.cycle(_LINES), strict=False)
-        for (name, table), (line, grey) in lines:
+        pairs = zip(tables.items(), itertools.cycle(LINES), strict=False)
+        for (name, table), (line, grey) in pairs:
             cells = table[table["body"] == body].sort_values("direction_rad")
             angles, largest = cells["direction_rad"].to_numpy(), cells["largest"].to_numpy()
             around = np.append(angles, angles[0]), np.append(largest, largest[0])
             axes.plot(*around, line, color=grey, label=f"{name}: mean {largest.mean():.2f}")
+        handles, _ = axes.get_legend_handles_labels()
+        _draw_references(axes, lines, "0.6")
         axes.set_ylim(0, reach)
         sides = ["forward", "left", "backward", "right"]
         axes.set_thetagrids([0, 90, 180, 270], sides, fontsize=8)
         axes.tick_params(axis="y", labelsize=7)
         axes.set_title(body, fontsize=9)
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.3), fontsize=7)
+        shown = None if place == 1 else handles
+        axes.legend(handles=shown, loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=6)
     figure.suptitle(title, fontsize=10)
-    figure.savefig(path, dpi=200)
-
-
-def learning_curves(metrics: pd.DataFrame, path: Path) -> None:
-    """Return, episode length, KL divergence and reward terms over frames.
-
-    Args:
-        metrics: rows of a run's ``metrics.csv``.
-        path: file to write.
-    """
-    frames = metrics["frames"] / 1e6
-    figure = Figure(figsize=(9, 5.5), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True)
-    for ax, key, label in (
-        (axes[0, 0], "episode_return", "return of an episode"),
-        (axes[0, 1], "episode_seconds", "length of an episode [s]"),
-        (axes[1, 0], "kl", "KL divergence of an update"),
-    ):
-        ax.plot(frames, metrics[key], lw=1, color="tab:blue")
-        ax.set_ylabel(label)
-    for key in (str(k) for k in metrics if str(k).startswith("reward/")):
-        axes[1, 1].plot(frames, metrics[key], lw=1, label=key.removeprefix("reward/"))
-    axes[1, 1].set_ylabel("mean summand of the reward")
-    axes[1, 1].legend(fontsize=7, ncols=2)
-    for ax in axes.flat:
-        ax.grid(alpha=0.3)
-    for ax in axes[1]:
-        ax.set_xlabel("frames [millions]")
-    figure.savefig(path, dpi=130)
+    _save(figure, path, lines)

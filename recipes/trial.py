@@ -1,0 +1,94 @@
+"""One trial of a battery alone: its row, its traces, its film."""
+
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from omegaconf import DictConfig
+from rich.console import Console
+from tensordict import TensorDictBase
+
+from recipes.tested import Tested
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.evaluation.battery import battery_env, run_battery
+from zfall.evaluation.definitions import Battery
+from zfall.evaluation.plots import trace_plot
+from zfall.evaluation.video import film
+
+
+def show_trial(
+    battery: Battery, tested: list[Tested], cfg: DictConfig, console: Console, folder: Path
+) -> None:
+    """Runs a trial again with each policy, prints its rows, draws traces of ``cfg.joint``.
+
+    Writes ``trial_N.csv`` (targets, positions and torques of all joints, with ``video`` also
+    ``trial_N.mp4``) into the folder of each policy, ``trial_N_JOINT.{png,pdf}`` of all into
+    ``folder``.
+    """
+    traces: dict[str, pd.DataFrame] = {}
+    push = (0.0, 0.0)
+    for each in tested:
+        row, rows = run_trial(battery, each, cfg, console)
+        joint = _joint(rows, cfg.joint)
+        renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
+        traces[Path(each.name).name] = rows.rename(columns=renamed)
+        push = (battery.push_time, battery.push_time + row["duration_s"])
+    for ending in ("png", "pdf"):
+        path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
+        trace_plot(traces, path, joint=joint, push=push)
+        console.print(f"wrote {path}")
+
+
+def _joint(rows: pd.DataFrame, joint: str) -> str:
+    there = [str(c).removeprefix("target/") for c in rows if str(c).startswith("target/")]
+    if joint not in there:
+        raise ValueError(f"joint must be one of {', '.join(there)}, got {joint}.")
+    return joint
+
+
+def run_trial(
+    battery: Battery, tested: Tested, cfg: DictConfig, console: Console
+) -> tuple[dict[Hashable, Any], pd.DataFrame]:
+    """A trial's row, and what its joints did in each control step."""
+    states: list[NDArray[np.float64]] = []
+    forces: list[NDArray[np.float32]] = []
+    signals: list[NDArray[np.float32]] = []
+    env, _, _ = battery_env(battery, tested.env_cfg, 1)
+    joints = env.base_env.robot.joints
+
+    def watch(base: HumanoidEnv, td: TensorDictBase) -> None:
+        states.append(base.simulation.qpos[:1].numpy().copy())
+        forces.append(td["push", "force"][:1].numpy().copy())
+        keys = ("target", "joint_position", "joint_torque")
+        signals.append(np.concatenate([td[key][0].numpy() for key in keys]))
+
+    (row,) = run_battery(
+        battery,
+        tested.env_cfg,
+        tested.actor,
+        seed=cfg.seed,
+        servos=tested.servos,
+        only=[cfg.trial],
+        watch=watch,
+    ).to_dict("records")
+    console.print(f"trial {cfg.trial} of {battery.name}, {tested.name}")
+    for key, value in row.items():
+        console.print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
+    names = [f"{key}/{joint}" for key in ("target", "position", "torque") for joint in joints]
+    rows = pd.DataFrame(np.stack(signals), columns=names)
+    rows.insert(0, "time_s", env.base_env.control_dt * (1 + np.arange(len(rows))))
+    rows.to_csv(tested.folder / f"trial_{cfg.trial}.csv", index=False)
+    if cfg.video:
+        path = tested.folder / f"trial_{cfg.trial}.mp4"
+        label = f"I = {row['impulse']:.2g}, {np.degrees(row['direction_rad']):.0f} degrees"
+        shown = {Path(tested.name).name: np.stack(states)}
+        dt = env.base_env.control_dt
+        try:
+            film(env.base_env.simulation.model, shown, [label], np.stack(forces), path, dt=dt)
+            console.print(f"wrote {path}")
+        except RuntimeError as error:
+            console.print(f"no video: {error}")
+    return row, rows

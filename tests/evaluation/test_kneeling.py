@@ -1,0 +1,124 @@
+"""Stable kneels, triggers and impacts on made-up trials."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from tensordict import TensorDict
+
+from tests.evaluation.test_metrics import record
+from zfall.evaluation.kneeling import Kneeling, summarize_kneel
+
+
+def kneel(env, **values) -> TensorDict:
+    """Three worlds; world 0 rests on its left knee."""
+    force = torch.zeros(3, len(env.regions))
+    force[0, env.regions.index("left_knee")] = 10.0
+    return record(len(env.regions), contact_force_peak=force, **values)
+
+
+def test_a_kneel_is_stable_after_half_a_second_of_rest(make_base):
+    env = make_base(num_envs=3)
+    kneeling = Kneeling(env)
+    counted, first = torch.ones(3, dtype=torch.bool), torch.tensor([True, False, False])
+    steps = round(0.5 / env.control_dt + 0.49)
+    for step in range(steps):
+        assert not kneeling.kneeled.any()
+        kneeling.update(kneel(env), counted, first & (step == 0), step * env.control_dt)
+    assert kneeling.kneeled.tolist() == [True, False, False]
+    took = kneeling.table()["kneel_time_s"]
+    assert took[0] == pytest.approx((steps - 1) * env.control_dt, abs=1e-6)
+    assert took[1:].isnan().all()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("base_linear_velocity", torch.tensor([0.0, 0.0, 0.11])),
+        ("base_angular_velocity", torch.tensor([0.11, 0.0, 0.0])),
+        ("joint_velocity", torch.nn.functional.one_hot(torch.tensor(7), 20) * -0.11),
+        ("base_orientation", torch.tensor([np.cos(0.31), 0.0, np.sin(0.31), 0.0])),
+    ],
+)
+def test_what_moves_or_leans_does_not_rest(make_base, key, value):
+    env = make_base(num_envs=3)
+    for scale, rests in ((1.0, False), (0.5, True)):
+        if key == "base_orientation":
+            value = torch.tensor([np.cos(0.31 * scale), 0.0, np.sin(0.31 * scale), 0.0])
+            moved = value.float().repeat(3, 1)
+        else:
+            moved = (scale * value).float().repeat(3, 1)
+        kneeling = Kneeling(env)
+        td = kneel(env, **{key: moved})
+        for step in range(30):
+            kneeling.update(td, torch.ones(3).bool(), torch.zeros(3).bool(), step * 0.04)
+        assert bool(kneeling.kneeled[0]) is rests
+
+
+@pytest.mark.parametrize("region", ["torso", "head"])
+def test_a_torso_or_head_on_the_floor_is_no_kneel_and_a_hand_is(make_base, region):
+    env = make_base(num_envs=3)
+    kneeling = Kneeling(env)
+    td = kneel(env)
+    for world, other in enumerate((region, "left_hand", "left_shin")):
+        td["contact_force_peak"][world, env.regions.index("left_knee")] = 5.0
+        td["contact_force_peak"][world, env.regions.index(other)] = 5.0
+    for step in range(30):
+        kneeling.update(td, torch.ones(3).bool(), torch.zeros(3).bool(), step * 0.04)
+    assert kneeling.kneeled.tolist() == [False, True, True]
+
+
+def test_impact_energy_is_that_of_the_step_before_the_touch(make_base):
+    env = make_base(num_envs=3)
+    kneeling, counted = Kneeling(env), torch.ones(3, dtype=torch.bool)
+    fast, slow = torch.tensor([[0.0, 0.0, -2.0]] * 3), torch.zeros(3, 3)
+    kneeling.update(kneel(env, com_velocity=fast), counted, ~counted, 0.1)
+    touched = torch.tensor([True, False, False])
+    kneeling.update(kneel(env, com_velocity=slow), counted, touched, 0.2)
+    energy = kneeling.table()["impact_energy"]
+    assert energy[0].item() == pytest.approx(0.5 * env.mass * 4.0)
+    assert energy[1:].isnan().all()
+
+
+def test_contact_impulses_add_up_while_the_trial_goes_on(make_base):
+    env = make_base(num_envs=3)
+    kneeling = Kneeling(env)
+    given = torch.full((3, len(env.regions)), 0.25)
+    counted = torch.tensor([True, False, True])
+    for _ in range(4):
+        kneeling.update(kneel(env, contact_impulse=given), counted, ~counted, 0.1)
+    impulse = kneeling.table()["contact_impulse/torso"]
+    assert impulse.tolist() == [1.0, 0.0, 1.0]
+
+
+def test_summary_by_hand():
+    """Of six pushes of I = 1 two are recovered; three kneels, one of them with the torso down."""
+    trials = pd.DataFrame(
+        {
+            "impulse": [0.0] + [1.0] * 6 + [0.5],
+            "direction_rad": 0.0,
+            "force_n": [0.0] + [49.0] * 6 + [20.0],
+            "listed": [False] * 7 + [True],
+            "recovered": [True, True, True, False, False, False, False, True],
+            "fell": [False, False, False, True, True, True, True, False],
+            "kneeled": [False, False, False, True, True, True, False, False],
+            "peak_contact_force/torso": [0.0, 0, 0, 0, 0, 30, 90, 0],
+            "peak_contact_force/head": [0.0, 0, 0, 0, 0, 0, 110, 0],
+            "peak_base_acceleration": [10.0, 10, 10, 20, 40, 60, 80, 10],
+            "impact_energy": 1.0,
+            "joint_torque_peak": 2.0,
+            "kneel_time_s": 0.5,
+        }
+    )
+    summary = summarize_kneel(trials)
+    entry = summary["by_impulse"]["1"]
+    assert entry["n"] == 6
+    assert entry["recovered"] == pytest.approx(2 / 6)
+    assert entry["kneeled"] == pytest.approx(3 / 4)
+    assert entry["clean"] == pytest.approx(2 / 3)
+    assert entry["kneeled_low"] < 0.75 < entry["kneeled_high"]
+    assert summary["listed"]["(20, 0)"]["recovered"] == 1.0
+    assert summary["listed"]["(20, 0)"]["kneeled"] is None  # nothing fell
+    assert summary["falls"] == 4
+    assert summary["falls_peak_base_acceleration_mean"] == 50.0
+    assert summary["falls_peak_torso_head_force_mean"] == pytest.approx((30 + 110) / 4)

@@ -1,0 +1,59 @@
+"""The page holds what it shows."""
+
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from zfall.evaluation.plots import learning_curves
+from zfall.evaluation.report import write_report
+
+
+class Page(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.sources, self.text = [], ""
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for key, value in attrs if key in ("src", "href")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture
+def folder(tmp_path):
+    columns = ("frames", "episode_return", "episode_seconds", "falls", "kl", "reward/upright")
+    metrics = pd.DataFrame({name: np.linspace(0, 4e6, 20) for name in columns})
+    metrics.to_csv(tmp_path / "metrics.csv", index=False)
+    (tmp_path / "plots").mkdir()
+    learning_curves(metrics, tmp_path / "plots" / "learning_curves.png")
+    battery = tmp_path / "evaluation" / "planar"
+    battery.mkdir(parents=True)
+    summary = {
+        "battery": "planar", "battery_version": 1, "n": 40, "seed": 0, "control_falls": 1,
+        "control_n": 20, "i50_mean": 0.512, "i50_min": 0.4, "i90_mean": 0.3, "i90_min": 0.2,
+        "success": {"0.4": 0.875}, "success_low": {"0.4": 0.81}, "success_high": {"0.4": 0.92},
+        "force_n": {"0.4": 19.7}, "definition": {"starts": 20},
+    }  # fmt: skip
+    (battery / "summary.json").write_text(json.dumps(summary))
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_text("seed: 7\nnote: <script>alert(1)</script>\n")
+    (tmp_path / ".hydra" / "overrides.yaml").write_text("- seed=7\n- caps=atalante\n")
+    return tmp_path
+
+
+def test_page_is_self_contained_and_says_what_was_measured(folder):
+    page = Page()
+    page.feed(write_report(folder).read_text())
+    assert page.sources
+    assert all(source.startswith("data:") for source in page.sources)
+    for text in ("87.5 %", "81.0 to 92.0 %", "mean 0.512", "1 of 20", "4.00 million control steps",
+                 "python -m recipes.train seed=7 caps=atalante", "torchrl 0.14"):  # fmt: skip
+        assert text in page.text, text
+
+
+def test_what_stands_in_a_config_is_text(folder):
+    assert "<script>alert" not in write_report(folder).read_text()

@@ -1,0 +1,202 @@
+"""What the batteries try: their definitions, trials and pushes."""
+
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+import yaml
+from numpy.typing import NDArray
+from torch import Tensor
+
+TICK = 0.04  # at which a battery with random pushes draws whether one begins [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Battery:
+    """Definition of a battery; the fields are explained in ``batteries.yaml``."""
+
+    version: int
+    name: str
+    point: str | tuple[str, ...]
+    directions: int
+    impulses: tuple[float, ...]
+    starts: int
+    start_noise: float
+    push_time: float
+    duration: float | tuple[float, ...]
+    end_time: float
+    aftermath: float | None
+    max_tilt: float
+    min_height: float
+    foot_friction: float | None
+    mass_factor: tuple[float, float] | None
+    load: tuple[float, float] | None
+    resolution: float | None
+    interval: float | None
+    forces: tuple[tuple[float, float], ...]
+    force_starts: int
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Where it pushes."""
+        return (self.point,) if isinstance(self.point, str) else self.point
+
+    @property
+    def durations(self) -> tuple[float, ...]:
+        """How long [s]."""
+        return self.duration if isinstance(self.duration, tuple) else (self.duration,)
+
+
+@dataclass(frozen=True)
+class Pushes:
+    """E pushes of each of K trials; those that a trial does not have never begin.
+
+    Args:
+        time: when they begin ``(K, E)`` [s].
+        force: ``(K, E, 3)`` [N; world].
+        duration: ``(K, E)`` [s].
+        point: where, a position in ``Battery.points`` ``(K, E)``.
+    """
+
+    time: Tensor
+    force: Tensor
+    duration: Tensor
+    point: Tensor
+
+    def __getitem__(self, rows: NDArray[np.intp]) -> "Pushes":
+        """Those of some of the trials."""
+        index = torch.tensor(rows)
+        return Pushes(self.time[index], self.force[index], self.duration[index], self.point[index])
+
+
+def load_battery(name: str, **options: Any) -> Battery:
+    """A battery by name, with some of its numbers replaced.
+
+    Raises:
+        ValueError: if there is no such battery or no such option.
+    """
+    table = yaml.safe_load(files("zfall.evaluation").joinpath("batteries.yaml").read_text())
+    version = table.pop("battery_version")
+    if name not in table:
+        raise ValueError(f"battery must be one of {', '.join(table)}, got {name!r}.")
+    unknown = sorted(set(options) - set(table[name]))
+    if unknown:
+        raise ValueError(
+            f"options of battery {name} are {', '.join(table[name])}, got {unknown[0]}."
+        )
+    numbers = table[name] | options
+    numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
+    if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
+        raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
+    if not isinstance(numbers["point"], str):
+        numbers["point"] = tuple(numbers["point"])
+    if not isinstance(numbers["duration"], (int, float)):
+        numbers["duration"] = tuple(numbers["duration"])
+    numbers["forces"] = tuple(tuple(force) for force in numbers["forces"])
+    resolution = numbers["resolution"]
+    if resolution is not None and not 0 < resolution < max(numbers["impulses"]):
+        raise ValueError(
+            f"resolution must lie between 0 and the largest of impulses, got {resolution}."
+        )
+    for key in ("mass_factor", "load"):
+        numbers[key] = None if numbers[key] is None else tuple(numbers[key])
+    for key in ("directions", "starts"):
+        if numbers[key] < 1:
+            raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
+    battery = Battery(version=version, name=name, **numbers)
+    if min(battery.durations, default=0.0) <= 0:
+        raise ValueError(f"duration must be positive, got {numbers['duration']}.")
+    return battery
+
+
+def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
+    """One row per trial: push point x duration x impulse x direction x start; a control arm.
+
+    The control arm, of impulse 0, comes first; forces that the battery lists come last. Where
+    pushes are random (``interval``) a row has no direction.
+
+    Args:
+        battery: the definition.
+        impulse_unit: impulse of dimensionless size 1 of the robot [N s].
+        seed: of the battery; a trial's own randomness comes from ``[seed, trial]``.
+    """
+    cells = [(0.0, battery.points[0], battery.durations[0])]
+    cells += [
+        (i, p, d) for p in battery.points for d in battery.durations for i in battery.impulses
+    ]
+    headings = [2 * np.pi * d / battery.directions for d in range(battery.directions)]
+    if battery.interval is not None:
+        headings = [np.nan]
+    rows = [
+        {"direction_rad": heading, "impulse": size, "duration_s": duration, "body": point}
+        for size, point, duration in cells
+        for heading in headings
+        for _ in range(battery.starts)
+    ]
+    for x, y in battery.forces:
+        size = float(np.hypot(x, y)) * battery.durations[0] / impulse_unit
+        listed = {"direction_rad": float(np.arctan2(y, x)), "impulse": size}
+        where = {"duration_s": battery.durations[0], "body": battery.points[0]}
+        rows += [listed | where] * battery.force_starts
+    trials = pd.DataFrame(rows)
+    trials.insert(0, "trial", range(len(trials)))
+    trials.insert(4, "force_n", trials["impulse"] * impulse_unit / trials["duration_s"])
+    trials["seed"] = seed
+    if battery.forces:
+        grid = len(trials) - len(battery.forces) * battery.force_starts
+        trials["listed"] = trials["trial"] >= grid
+    return trials
+
+
+def plan_pushes(battery: Battery, trials: pd.DataFrame) -> Pushes:
+    """The pushes of trials, which have the columns of ``plan_trials``."""
+    points = torch.tensor([battery.points.index(body) for body in trials["body"]])
+    duration = torch.tensor(trials["duration_s"].to_numpy(dtype=float))[:, None]
+    force = torch.tensor(trials["force_n"].to_numpy(dtype=float))[:, None]
+    if battery.interval is None:
+        heading = torch.tensor(trials["direction_rad"].to_numpy(dtype=float))
+        unit = torch.stack([heading.cos(), heading.sin(), 0 * heading], -1)[:, None]
+        time = torch.full_like(force, battery.push_time)
+    else:
+        drawn = [
+            _random_pushes(battery, length, seed, trial)
+            for trial, seed, length in zip(
+                trials["trial"], trials["seed"], trials["duration_s"], strict=True
+            )
+        ]
+        events = max([1, *(len(times) for times, _ in drawn)])
+        time = torch.full((len(trials), events), torch.inf, dtype=torch.float64)
+        unit = torch.zeros(len(trials), events, 3, dtype=torch.float64)
+        for row, (times, directions) in enumerate(drawn):
+            time[row, : len(times)] = torch.tensor(times)
+            unit[row, : len(times)] = torch.tensor(directions)
+    return Pushes(
+        time,
+        (force[..., None] * unit).float(),
+        duration.expand_as(time).clone(),
+        points[:, None].expand_as(time).clone(),
+    )
+
+
+def _random_pushes(
+    battery: Battery, duration: float, seed: int, trial: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times ``(E,)`` [s] and unit vectors ``(E, 3)`` of a trial's pushes, any two of them apart.
+
+    At every tick at which none acts one begins with probability ``TICK / interval``; its
+    direction is uniform on the sphere.
+    """
+    generator = np.random.default_rng(np.random.SeedSequence([seed, trial, 2]))
+    ticks = round((battery.end_time - battery.push_time) / TICK)
+    begins = generator.random(ticks) < TICK / (battery.interval or np.inf)
+    directions = generator.standard_normal((ticks, 3))
+    times: list[int] = []
+    for tick in begins.nonzero()[0].tolist():
+        if not times or (tick - times[-1]) * TICK >= duration - 1e-9:
+            times.append(tick)
+    chosen = directions[times]
+    unit = chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
+    return battery.push_time + TICK * np.array(times, dtype=float), unit

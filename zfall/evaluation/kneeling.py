@@ -1,0 +1,134 @@
+"""How a trial that was not recovered from ends: on the knees or not, and how hard."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.terms.kneel import resting_kneel
+from zfall.evaluation.statistics import wilson
+
+HOLD = 0.5  # time without a break that makes a kneel stable [s]
+KNEEL = 1  # position in ``mode``
+
+
+class Kneeling:
+    """Looks for a stable kneel, and adds up what the floor did to each region.
+
+    ``kneeled``: at the end of the trial it has been a ``resting_kneel`` for half a second.
+    ``kneel_time_s`` [s]: from the trigger, the first step in mode KNEEL or, without modes, the
+    first touch, until the kneel had been stable for half a second. ``impact_energy`` [J]:
+    ``m |v|^2 / 2`` with v the velocity of the center of mass one control step before anything but
+    the feet touched. ``contact_impulse/REGION`` [N s]: time integral of the floor's force.
+
+    Args:
+        env: the base env.
+    """
+
+    def __init__(self, env: HumanoidEnv):
+        n = env.num_envs
+        self.robot, self.regions, self.dt, self.mass = (
+            env.robot,
+            env.regions,
+            env.control_dt,
+            env.mass,
+        )
+        self.rested = torch.zeros(n)
+        self.trigger, self.stable = torch.full((n,), torch.nan), torch.full((n,), torch.nan)
+        self.impulse = torch.zeros(n, len(env.regions))
+        self.energy = torch.full((n,), torch.nan)
+        self._speed: Tensor | None = None
+
+    @property
+    def kneeled(self) -> Tensor:
+        """Trials that are in a stable kneel now ``(N,)`` bool."""
+        return self.rested > HOLD - 1e-6
+
+    def update(self, td: TensorDictBase, counted: Tensor, first: Tensor, since_push: float) -> None:
+        """Takes in a control step after the push.
+
+        Args:
+            td: what followed it.
+            counted: worlds whose trial goes on ``(N,)`` bool.
+            first: worlds in which something but the feet touched for the first time.
+            since_push: time [s].
+        """
+        resting = resting_kneel(td, td, robot=self.robot).squeeze(-1)
+        before = self.kneeled
+        now = torch.where(resting, self.rested + self.dt, 0.0)
+        self.rested = torch.where(counted, now, self.rested)
+        self.stable = torch.where(self.kneeled & ~before, since_push, self.stable)
+        triggered = td["mode"][:, KNEEL] > 0 if "mode" in td.keys() else first
+        new = triggered & counted & self.trigger.isnan()
+        self.trigger = torch.where(new, since_push, self.trigger)
+        self.impulse += counted[:, None] * td["contact_impulse"]
+        speed = td["com_velocity"].norm(dim=-1)
+        before_it = speed if self._speed is None else self._speed
+        self.energy = torch.where(first, 0.5 * self.mass * before_it.square(), self.energy)
+        self._speed = speed
+
+    def table(self) -> dict[str, Tensor]:
+        """Columns ``(N,)``."""
+        took = torch.where(self.kneeled, self.stable - self.trigger, torch.nan)
+        return {
+            "kneel_time_s": took,
+            "impact_energy": self.energy,
+            **{f"contact_impulse/{r}": self.impulse[:, i] for i, r in enumerate(self.regions)},
+        }
+
+
+def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
+    """Figures of battery ``kneel``: by impulse of the grid, and by force of the list.
+
+    Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` (share of
+    the kneels without contact of torso or head), each with ``_low`` and ``_high``, its Wilson 95 %
+    interval; ``null`` if there is nothing to count.
+    """
+    pushed = trials[trials["impulse"] > 0]
+    grid, listed = pushed[~pushed["listed"]], pushed[pushed["listed"]]
+    fallen = pushed[~pushed["recovered"]]
+    torso_head = np.maximum(fallen["peak_contact_force/torso"], fallen["peak_contact_force/head"])
+    return {
+        "by_impulse": {f"{size:g}": _outcomes(group) for size, group in grid.groupby("impulse")},
+        "by_direction": {
+            f"{np.degrees(group['direction_rad'].iloc[0]):.0f}": _outcomes(group)
+            for _, group in grid.groupby("direction_rad")
+        },
+        "listed": {
+            _force_name(group): _outcomes(group)
+            for _, group in listed.groupby(["impulse", "direction_rad"], sort=False)
+        },
+        "falls": len(fallen),
+        "falls_peak_base_acceleration_mean": float(fallen["peak_base_acceleration"].mean()),
+        "falls_peak_torso_head_force_mean": float(torso_head.mean()),
+        "falls_impact_energy_mean": float(fallen["impact_energy"].mean()),
+        "falls_joint_torque_peak_mean": float(fallen["joint_torque_peak"].mean()),
+        "kneel_time_s_mean": float(fallen["kneel_time_s"].mean()),
+    }
+
+
+def _force_name(group: pd.DataFrame) -> str:
+    """Forward and leftward force of trials that share it, ``(-45, 20)`` [N]."""
+    force, heading = group["force_n"].iloc[0], group["direction_rad"].iloc[0]
+    return f"({force * np.cos(heading):.0f}, {force * np.sin(heading):.0f})".replace("-0", "0")
+
+
+def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
+    fallen = trials[~trials["recovered"]]
+    kneels = fallen[fallen["kneeled"]]
+    touched = (kneels["peak_contact_force/torso"] > 0) | (kneels["peak_contact_force/head"] > 0)
+    counts = {
+        "recovered": (int(trials["recovered"].sum()), len(trials)),
+        "kneeled": (len(kneels), len(fallen)),
+        "clean": (int((~touched).sum()), len(kneels)),
+    }
+    out: dict[str, Any] = {"n": len(trials)}
+    for name, (successes, count) in counts.items():
+        low, high = wilson(successes, count) if count else (None, None)
+        out[name] = successes / count if count else None
+        out[f"{name}_low"], out[f"{name}_high"] = low, high
+    return out

@@ -1,0 +1,23 @@
+"""Figures of batteries and of training, for a screen and for a two-column paper."""
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+mpl.rcParams |= {"pdf.fonttype": 42, "ps.fonttype": 42}  # fonts that journals take
+
+from zfall.evaluation.plots.curves import learning_bands, learning_curves  # noqa: E402
+from zfall.evaluation.plots.heat import withstood_map  # noqa: E402
+from zfall.evaluation.plots.polar import envelope_plot, overlay, success_map  # noqa: E402
+from zfall.evaluation.plots.profiles import profiles_plot  # noqa: E402
+from zfall.evaluation.plots.traces import trace_plot  # noqa: E402
+
+__all__ = [
+    "envelope_plot",
+    "learning_bands",
+    "learning_curves",
+    "overlay",
+    "profiles_plot",
+    "success_map",
+    "trace_plot",
+    "withstood_map",
+]

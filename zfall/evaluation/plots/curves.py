@@ -1,0 +1,86 @@
+"""How learning went."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from zfall.evaluation.comparison import bootstrap_interval
+from zfall.evaluation.plots.polar import LINES
+
+POINTS = 40  # at which curves of several seeds are averaged
+
+
+def learning_curves(metrics: pd.DataFrame, path: Path) -> None:
+    """Return, episode length, KL divergence and reward terms over frames.
+
+    Args:
+        metrics: rows of a run's ``metrics.csv``.
+        path: file to write.
+    """
+    frames = metrics["frames"] / 1e6
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True)
+    for ax, key, label in (
+        (axes[0, 0], "episode_return", "return of an episode"),
+        (axes[0, 1], "episode_seconds", "length of an episode [s]"),
+        (axes[1, 0], "kl", "KL divergence of an update"),
+    ):
+        ax.plot(frames, metrics[key], lw=1, color="tab:blue")
+        ax.set_ylabel(label)
+    for key in (str(k) for k in metrics if str(k).startswith("reward/")):
+        axes[1, 1].plot(frames, metrics[key], lw=1, label=key.removeprefix("reward/"))
+    axes[1, 1].set_ylabel("mean summand of the reward")
+    axes[1, 1].legend(fontsize=7, ncols=2)
+    for ax in axes.flat:
+        ax.grid(alpha=0.3)
+    for ax in axes[1]:
+        ax.set_xlabel("frames [millions]")
+    figure.savefig(path, dpi=130)
+
+
+def learning_bands(
+    groups: Mapping[str, Sequence[pd.DataFrame]],
+    path: Path,
+    *,
+    key: str = "episode_seconds",
+    label: str = "length of an episode [s]",
+    title: str = "",
+) -> None:
+    """Mean over seeds and its bootstrap 95 % interval, over frames, a line for each group.
+
+    Args:
+        groups: rows of the ``metrics.csv`` of several seeds, by the name of what they share.
+        path: file to write; its ending gives the format.
+        key: column to show, in means over a fortieth of the training.
+        label: of its axis.
+        title: above the plot.
+    """
+    figure = Figure(figsize=(3.5, 2.7), layout="constrained")
+    axes = figure.subplots()
+    for (name, runs), (style, grey) in zip(groups.items(), itertools.cycle(LINES), strict=False):
+        end = min(float(run["frames"].max()) for run in runs)
+        edges = np.linspace(0.0, end, POINTS + 1)
+        curves = np.array([_binned(run, key, edges) for run in runs])
+        frames = 0.5 * (edges[1:] + edges[:-1]) / 1e6
+        line = style.strip("osD^")
+        axes.plot(frames, curves.mean(0), line, color=grey, lw=1.4, label=f"{name} ({len(runs)})")
+        band = np.array([bootstrap_interval(values, resamples=999) for values in curves.T])
+        axes.fill_between(frames, band[:, 0], band[:, 1], color=grey, alpha=0.18, lw=0)
+    axes.set_xlabel("frames [millions]", fontsize=8)
+    axes.set_ylabel(label, fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.set_title(title, fontsize=9)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7, title="mean and 95 % interval (seeds)", title_fontsize=7)
+    figure.savefig(path, dpi=300)
+
+
+def _binned(run: pd.DataFrame, key: str, edges: np.ndarray) -> np.ndarray:
+    """Means of a column between edges ``(K,)`` of the frames; gaps take their neighbours' line."""
+    bins = np.digitize(run["frames"], edges[1:], right=True)
+    means = run.groupby(bins)[key].mean().reindex(range(len(edges) - 1))
+    return np.asarray(means.interpolate(limit_direction="both"), dtype=float)

@@ -1,0 +1,51 @@
+"""Maps over the size and duration of pushes."""
+
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from zfall.evaluation.statistics import withstood_table
+
+
+def withstood_map(trials: pd.DataFrame, path: Path, *, title: str) -> None:
+    """Mean number of pushes withstood in a row, a map of size and duration for each push point.
+
+    After Ferigo et al., RA-L 2021, figure 5.
+
+    Args:
+        trials: of battery ``spherical``.
+        path: file to write; its ending gives the format.
+        title: above the plots.
+    """
+    table = withstood_table(trials)
+    bodies = list(dict.fromkeys(table["body"]))
+    most = float(table["withstood"].max())
+    figure = Figure(figsize=(2.4 * len(bodies) + 0.8, 2.4), layout="constrained")
+    panels = figure.subplots(1, len(bodies), squeeze=False)[0]
+    for axes, body in zip(panels, bodies, strict=True):
+        cells = table[table["body"] == body].pivot(
+            index="duration_s", columns="impulse", values="withstood"
+        )
+        image = axes.imshow(
+            cells.to_numpy(), cmap="cividis", vmin=0, vmax=most, origin="lower", aspect="auto"
+        )
+        for (row, column), value in ((k, cells.iloc[k]) for k in _places(cells)):
+            color = "black" if value > 0.6 * most else "white"
+            axes.text(
+                column, row, f"{value:.1f}", ha="center", va="center", color=color, fontsize=8
+            )
+        axes.set_xticks(range(cells.shape[1]), [f"{i:g}" for i in cells.columns], fontsize=7)
+        axes.set_yticks(range(cells.shape[0]), [f"{d:g}" for d in cells.index], fontsize=7)
+        axes.set_xlabel("impulse I", fontsize=8)
+        axes.set_title(body, fontsize=8)
+    panels[0].set_ylabel("duration [s]", fontsize=8)
+    bar = figure.colorbar(image, ax=panels)
+    bar.set_label("pushes in a row", fontsize=8)
+    bar.ax.tick_params(labelsize=7)
+    figure.suptitle(title, fontsize=9)
+    figure.savefig(path, dpi=300)
+
+
+def _places(cells: pd.DataFrame) -> list[tuple[int, int]]:
+    return [(row, column) for row in range(cells.shape[0]) for column in range(cells.shape[1])]

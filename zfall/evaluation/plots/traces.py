@@ -1,0 +1,42 @@
+"""What a joint did during a trial."""
+
+import itertools
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from zfall.evaluation.plots.polar import LINES
+
+
+def trace_plot(
+    traces: Mapping[str, pd.DataFrame], path: Path, *, joint: str, push: tuple[float, float]
+) -> None:
+    """Target, position and torque of a joint over a trial, a line for each run.
+
+    After Duburcq et al., IROS 2022, figure 6.
+
+    Args:
+        traces: by name, rows with ``time_s`` and ``target``, ``position`` [rad] and ``torque``
+            [N m] of the joint.
+        path: file to write; its ending gives the format.
+        joint: its name.
+        push: when it begins and ends [s].
+    """
+    figure = Figure(figsize=(3.5, 3.8), layout="constrained")
+    panels = figure.subplots(3, 1, sharex=True)
+    labels = {"target": "target [rad]", "position": "position [rad]", "torque": "torque [N m]"}
+    for axes, (key, label) in zip(panels, labels.items(), strict=True):
+        axes.axvspan(*push, color="0.88", lw=0)
+        lines = zip(traces.items(), itertools.cycle(LINES), strict=False)
+        for (name, rows), (style, grey) in lines:
+            line = style.strip("osD^")
+            axes.plot(rows["time_s"], rows[key], line, color=grey, lw=1, label=name)
+        axes.set_ylabel(label, fontsize=8)
+        axes.tick_params(labelsize=7)
+        axes.grid(alpha=0.3)
+    panels[0].set_title(f"{joint}; the push is shaded", fontsize=8)
+    panels[0].legend(fontsize=7)
+    panels[-1].set_xlabel("time [s]", fontsize=8)
+    figure.savefig(path, dpi=300)

@@ -1,0 +1,156 @@
+"""One file that shows a run or a comparison: numbers, figures, film, and how to get them again."""
+
+import base64
+import json
+import platform
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment
+
+PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
+CAPTIONS = {
+    "learning_curves": "Return, length of episodes, divergence and reward terms over training.",
+    "success_map": "Share of trials recovered, by direction and impulse of the push.",
+    "planar": "Share of trials recovered in the short battery at the end of training.",
+    "withstood": "Pushes withstood in a row, by impulse, duration and push point.",
+    "envelope": "Largest impulse recovered from, by direction and push point.",
+    "overlay": "I50 by direction of all runs.",
+    "profiles": "Share of directions in which I50 is at least as large.",
+    "bands": "Learning curves, mean and interval over seeds.",
+}
+
+
+@dataclass
+class Section:
+    """A part of the page: paragraphs, tables (html), figures, a video, listings behind a fold."""
+
+    title: str
+    notes: list[str] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    figures: list[dict[str, Any]] = field(default_factory=list)
+    video: str = ""
+    listings: list[dict[str, str]] = field(default_factory=list)
+
+
+def write_report(folder: Path) -> Path:
+    """Writes ``report.html`` of a run folder, or of the folder of a comparison, from its files.
+
+    Returns:
+        The page, which holds everything it shows.
+    """
+    sections = [_training(folder)] if (folder / "metrics.csv").exists() else []
+    sections += [_battery(path.parent) for path in sorted(folder.glob("evaluation/*/summary.json"))]
+    if (folder / "comparison.csv").exists():
+        sections.append(_comparison(folder))
+    film = folder / "video.mp4"
+    if film.exists():
+        text = "Above the policy, below the held pose; the arrow is the force."
+        sections.append(Section("Film", notes=[text], video=_encoded(film)))
+    sections.append(_reproduction(folder))
+    frames = f"{platform.python_implementation()} {platform.python_version()}"
+    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    template = files("zfall.evaluation").joinpath("report.html.j2").read_text()
+    page = (
+        Environment(autoescape=True)
+        .from_string(template)
+        .render(title=f"{folder.name}", subtitle=f"{versions}; {frames}", sections=sections)
+    )
+    path = folder / "report.html"
+    path.with_suffix(".tmp").write_text(page)
+    path.with_suffix(".tmp").replace(path)
+    return path
+
+
+def _training(folder: Path) -> Section:
+    metrics = pd.read_csv(folder / "metrics.csv")
+    last = metrics.tail(10).mean(numeric_only=True)
+    names = ["episode_return", "episode_seconds", "falls", "kl"]
+    rows = pd.DataFrame(
+        {"mean of the last ten updates": [name for name in names if name in last]}
+    ).assign(value=lambda t: [f"{last[name]:.4g}" for name in t.iloc[:, 0]])
+    notes = [f"{metrics['frames'].max() / 1e6:.2f} million control steps, {len(metrics)} updates."]
+    if (folder / "timing.csv").exists():
+        timing = pd.read_csv(folder / "timing.csv")
+        seconds = timing["collect_s"].sum() + timing["learn_s"].sum()
+        notes.append(
+            f"{seconds / 60:.1f} minutes, {metrics['frames'].max() / seconds:.0f} control steps/s."
+        )
+    out = Section("Training", notes=notes, tables=[_html(rows)])
+    out.figures = [_figure(path) for path in sorted((folder / "plots").glob("*.png"))]
+    return out
+
+
+def _battery(folder: Path) -> Section:
+    summary = json.loads((folder / "summary.json").read_text())
+    notes = [
+        f"Battery version {summary['battery_version']}, {summary['n']} trials, seed "
+        f"{summary['seed']}; falls without a push: {summary['control_falls']} of "
+        f"{summary['control_n']}."
+    ]
+    tables = []
+    if "i50_mean" in summary:
+        notes.append(
+            f"I50: mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f} over "
+            f"directions; I90: mean {summary['i90_mean']:.3f}, least {summary['i90_min']:.2f}."
+        )
+        rows = [
+            {
+                "impulse I": size,
+                "force [N]": f"{summary['force_n'][size]:.1f}",
+                "recovered": f"{100 * rate:.1f} %",
+                "95 % interval": f"{100 * summary['success_low'][size]:.1f} to "
+                f"{100 * summary['success_high'][size]:.1f} %",
+            }
+            for size, rate in summary["success"].items()
+        ]
+        tables.append(_html(pd.DataFrame(rows)))
+    for name in ("outcomes", "strategies", "withstood", "envelope"):
+        if (folder / f"{name}.csv").exists():
+            tables.append(_html(pd.read_csv(folder / f"{name}.csv")))
+    figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
+    return Section(f"Battery {summary['battery']}", notes=notes, tables=tables, figures=figures)
+
+
+def _comparison(folder: Path) -> Section:
+    note = "Differences are to the first run, on the same trials; p is of McNemar's exact test."
+    table = _html(pd.read_csv(folder / "comparison.csv"))
+    figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
+    return Section("Comparison", notes=[note], tables=[table], figures=figures)
+
+
+def _reproduction(folder: Path) -> Section:
+    out = Section("To get this again")
+    overrides = folder / ".hydra" / "overrides.yaml"
+    if overrides.exists():
+        given = " ".join(
+            line.removeprefix("- ") for line in overrides.read_text().splitlines() if line != "[]"
+        )
+        out.notes.append(f"python -m recipes.train {given}")
+    for name in ("config.yaml", "overrides.yaml"):
+        path = folder / ".hydra" / name
+        if path.exists():
+            out.listings.append({"title": name, "body": path.read_text()})
+    for path in sorted(folder.glob("evaluation/*/summary.json")):
+        battery = json.loads(path.read_text())
+        given = json.dumps(battery.get("definition", {}), indent=2)
+        out.listings.append({"title": f"definition of {path.parent.name}", "body": given})
+    return out
+
+
+def _html(rows: pd.DataFrame) -> str:
+    return str(rows.to_html(index=False, border=0, float_format=lambda x: f"{x:.3g}", na_rep="-"))
+
+
+def _figure(path: Path) -> dict[str, Any]:
+    caption = CAPTIONS.get(path.stem, path.stem.replace("_", " "))
+    wide = path.stem in ("learning_curves", "withstood", "envelope")
+    return {"caption": caption, "data": _encoded(path), "wide": wide}
+
+
+def _encoded(path: Path) -> str:
+    return base64.b64encode(path.read_bytes()).decode()
