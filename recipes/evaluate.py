@@ -36,6 +36,7 @@ KEYS = {
     "trial",
     "video",
     "joint",
+    "change",
 }
 
 
@@ -188,6 +189,7 @@ def evaluate(
             seed=cfg.seed,
             num_envs=cfg.num_envs,
             servos=tested.servos,
+            kneel=tested.name == "scripted_kneel",
             progress=lambda done, total: bar.update(task, completed=done, total=total),
             plan=plan,
             finished=finished,

@@ -18,7 +18,7 @@ from zfall import checkpoint
 from zfall.envs.robots import ZEROTH01, Robot
 from zfall.evaluation.definitions import Battery
 
-BASELINES = ("pose_hold", "limp")
+BASELINES = ("pose_hold", "limp", "scripted_kneel")
 POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
 
 
@@ -87,24 +87,47 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         ValueError: if the folder holds no checkpoint, or one that does not fit.
     """
     if run in BASELINES:
-        return (cfg.env or compose("train", overrides=["num_envs=64"]).env), None
-    path = _shipped(run)
-    if not path.exists():
-        path = Path(run) / "checkpoints" / f"{cfg.checkpoint}.pt"
-    if not path.exists() and not Path(run).is_dir():
-        ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
-        raise ValueError(
-            f"run must be a run folder, or one of {', '.join((*BASELINES, *ship))}; "
-            f"there is no folder {run}."
-        )
+        return changed(cfg.env or compose("train", overrides=["num_envs=64"]).env, cfg.change), None
+    path = checkpoint_of(run, cfg.checkpoint)
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])
-    env_cfg = run_cfg.env
+    env_cfg = changed(run_cfg.env, cfg.change)
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
     checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
     actor.load_state_dict(content["policy"])
     return env_cfg, actor
+
+
+def checkpoint_of(run: str, name: str = "last") -> Path:
+    """The file of a run folder's policy, or of one that ships.
+
+    Raises:
+        ValueError: if there is neither.
+    """
+    path = _shipped(run)
+    if path.exists():
+        return path
+    if not Path(run).is_dir():
+        ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
+        raise ValueError(
+            f"run must be a run folder, or one of {', '.join((*BASELINES, *ship))}; "
+            f"there is no folder {run}."
+        )
+    return Path(run) / "checkpoints" / f"{name}.pt"
+
+
+def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
+    """The env's config with some of its values replaced, ``transforms.mode.angle=0.4``.
+
+    Raises:
+        ValueError: on a key that is not there.
+    """
+    for change in changes:
+        key = change.partition("=")[0]
+        if OmegaConf.select(env_cfg, key, default="missing") == "missing":
+            raise ValueError(f"change must name a value of the env, there is no {key}.")
+    return DictConfig(OmegaConf.merge(env_cfg, OmegaConf.from_dotlist(list(changes))))
 
 
 def _shipped(name: str) -> Path:

@@ -61,7 +61,16 @@ def make_env(
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     if "substeps" in env.observation_spec.keys():
         after.append(_DropSubsteps())
-    return HumanoidTask(env, Compose(*reversed(before), *after))
+    return HumanoidTask(env, _Table(*reversed(before), *after))
+
+
+class _Table(Compose):
+    """``Compose`` in which what prepares a reset runs in the order of the table, too."""
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase) -> TensorDictBase:
+        for transform in self.transforms:
+            tensordict = transform._reset_env_preprocess(tensordict)
+        return tensordict
 
 
 class HumanoidTask(TransformedEnv):

@@ -1,6 +1,6 @@
 """Robots as data. A second robot is one more MJCF and one more value here."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -34,6 +34,7 @@ class Robot:
         mjcf: path of an MJCF that compiles by itself and has a sensor for every key of the env.
         joints: joint names, in the order of every vector over joints.
         stand: the joints of the standing reference pose that are not at zero [rad].
+        kneel: likewise of a pose in which it rests on a knee, and its torso upright.
         feet: names of the left and the right foot, as in ``feet_position/left``.
         corners: names of the corners of a sole, as in ``feet_corner_force/left/front_left``.
         sole_half_size: half the length and half the width of a sole [m].
@@ -62,11 +63,17 @@ class Robot:
     com_height: float
     mass: float
     legs: tuple[str, ...] = ()
+    kneel: dict[str, float] = field(default_factory=dict)
 
     @property
     def stand_position(self) -> tuple[float, ...]:
         """Standing reference pose in the order of ``joints`` [rad]."""
         return tuple(self.stand.get(joint, 0.0) for joint in self.joints)
+
+    @property
+    def kneel_position(self) -> tuple[float, ...]:
+        """The kneel in the order of ``joints`` [rad]."""
+        return tuple(self.kneel.get(joint, 0.0) for joint in self.joints)
 
     @property
     def impulse_unit(self) -> float:
@@ -127,6 +134,20 @@ ZEROTH01 = Robot(
         "left_knee_pitch": -0.8,
         "left_ankle_pitch": -0.4,
         "left_ankle_roll": 0.1,
+        "left_shoulder_roll": 0.2,
+        "left_elbow_roll": -0.2,
+        "right_shoulder_roll": -0.2,
+        "right_elbow_roll": 0.2,
+    },
+    kneel={
+        "right_hip_roll": -0.014,
+        "right_hip_pitch": 0.49,
+        "right_knee_pitch": -1.33,
+        "right_ankle_pitch": -0.458,
+        "left_hip_roll": 0.014,
+        "left_hip_pitch": -1.561,
+        "left_knee_pitch": -0.433,
+        "left_ankle_pitch": 0.275,
         "left_shoulder_roll": 0.2,
         "left_elbow_roll": -0.2,
         "right_shoulder_roll": -0.2,

@@ -34,6 +34,8 @@ TABLE = {  # in the order of a yaml
         "joint_position": 0.05,
         "heading": True,
     },
+    "falling": {"_target_": "zfall.envs.transforms.starts.FallingStart", "share": 0.5},
+    "stable": {"_target_": "zfall.envs.transforms.modes.StableHold"},
     "planner": {"_target_": f"{_ACTIONS}.ServoPlanner"},
     "deadband": {"_target_": f"{_ACTIONS}.Deadband", "width": 0.01},
     "backlash": {"_target_": f"{_ACTIONS}.Backlash", "width": 0.02},
@@ -87,6 +89,7 @@ TABLE = {  # in the order of a yaml
     "power": {"_target_": f"{_WINDOWS}.JointPower"},
     "air_time": {"_target_": f"{_WINDOWS}.FeetAirTime"},
     "effort": {"_target_": f"{_WINDOWS}.JointEffort"},
+    "mode": {"_target_": "zfall.envs.transforms.modes.ModeMachine", "hold": 0.08, "back": 0.08},
     "fall": {
         "_target_": "zfall.envs.transforms.terminations.Terminations",
         "conditions": {

@@ -1,6 +1,9 @@
 """How episodes begin."""
 
+from pathlib import Path
+
 import mujoco
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -11,7 +14,7 @@ from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import rotate_inverse, tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.actions import JointPositionTarget
-from zfall.envs.transforms.starts import NoisyStart, ReferenceStart, ScriptedStart
+from zfall.envs.transforms.starts import FallingStart, NoisyStart, ReferenceStart, ScriptedStart
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
 
@@ -216,3 +219,31 @@ def test_clearance_below_the_floor_is_on_it(make_task):
 def test_bad_clearance_is_refused(make_base):
     with pytest.raises(ValueError, match=r"clearance must be \[smallest, largest\], got"):
         NoisyStart(make_base(), clearance=[0.02, 0.01])
+
+
+def test_falls_begin_as_recorded_and_the_others_stand(make_task):
+    noisy, falling = (NoisyStart, {"joint_position": 0.02}), (FallingStart, {"share": 0.7})
+    env = make_task({**ACTION, "start": noisy, "falling": falling}, num_envs=400)
+    env.set_seed(0)
+    td = env.reset()
+    fallen = tilt(td["base_orientation"]) > 0.25
+    assert 0.6 < fallen.float().mean() < 0.8
+    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as bank:
+        recorded = torch.from_numpy(bank["joint_velocity"])
+        assert bank["base_orientation"].shape[0] > 1000
+    distance = torch.cdist(
+        td["joint_velocity"][fallen],
+        recorded,
+        compute_mode="donot_use_mm_for_euclid_dist",
+    ).amin(1)
+    assert distance.max() < 1e-4
+    standing = td["base_position"][~fallen]
+    assert (standing[:, 2] - 0.332).abs().max() < 1e-3
+    assert (td["base_linear_velocity"][~fallen] == 0).all()
+
+
+def test_a_missing_bank_of_falls_is_refused(make_base):
+    with pytest.raises(ValueError, match="bank must be a file that recipes.falls wrote"):
+        FallingStart(make_base(), bank="nowhere.npz")
+    with pytest.raises(ValueError, match="share must lie in"):
+        FallingStart(make_base(), share=0.0)

@@ -1,10 +1,14 @@
 """How a robot goes down on its knees, and whether it rests there."""
 
+from collections.abc import Callable, Sequence
+
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import Robot
+from zfall.envs.robots import GRAVITY, Robot
 from zfall.envs.rotations import tilt
+from zfall.envs.terms import bind
 
 
 def regions_named(robot: Robot, *names: str) -> list[int]:
@@ -44,3 +48,85 @@ def resting_kneel(
     down = touching(next_td, robot, "knee", "shin")
     off = ~touching(next_td, robot, "torso", "head")
     return (slow & upright)[..., None] & down & off
+
+
+def in_mode(
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    mode: int,
+    term: Callable[..., Tensor],
+) -> Tensor:
+    """The value of another term in the worlds that acted in a mode, 0 (or false) in the others.
+
+    Reads ``mode`` ``(*B, 3)``, of before the step, and what the term reads. Returns ``(*B, 1)``.
+    """
+    value = bind(term, robot=robot)(td, next_td)
+    return torch.where(td["mode"][..., mode : mode + 1] > 0, value, torch.zeros_like(value))
+
+
+def com_lowering(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -> Tensor:
+    """Share of the way down from standing to two thirds of it, ``clip(3 (1 - z / h0), 0, 1)``.
+
+    Reads ``com_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)``.
+    """
+    height = next_td["com_position"][..., 2:] / robot.com_height
+    return (3.0 * (1.0 - height)).clamp(0.0, 1.0)
+
+
+def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+    """High without shocks: ``exp(-(|a| - g)^2 / sigma^2)``, a being the largest over the step.
+
+    Reads ``base_acceleration_peak`` ``(*B, 1)``; ``sigma`` [m/s2]. Returns ``(*B, 1)`` in (0, 1].
+    """
+    excess = next_td["base_acceleration_peak"] - GRAVITY
+    return torch.exp(-excess.square() / sigma**2)
+
+
+def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+    """High when the base does not turn: ``exp(-|omega|^2 / sigma^2)``.
+
+    Reads ``base_angular_velocity`` ``(*B, 3)``; ``sigma`` [rad/s]. Returns ``(*B, 1)`` in (0, 1].
+    """
+    rate = next_td["base_angular_velocity"]
+    return torch.exp(-rate.square().sum(-1, keepdim=True) / sigma**2)
+
+
+def region_contact(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+) -> Tensor:
+    """1 if a region with one of the names, of either side, touched the floor; ``(*B, 1)``."""
+    return touching(next_td, robot, *names).float()
+
+
+def region_contact_ends(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+) -> Tensor:
+    """Condition for an end: whether such a region touched the floor; ``(*B, 1)`` bool."""
+    return touching(next_td, robot, *names)
+
+
+def kneel_pose(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: float
+) -> Tensor:
+    """High in the robot's kneel or its mirror image: ``exp(-|q - q_k|^2 / sigma^2)``.
+
+    Reads ``joint_position`` ``(*B, J)`` [rad]; ``sigma`` [rad]. Returns ``(*B, 1)`` in (0, 1].
+    """
+    position = next_td["joint_position"]
+    pose = position.new_tensor(robot.kneel_position)
+    mirrored = pose[list(robot.mirror_index)] * position.new_tensor(robot.mirror_sign)
+    error = torch.stack([(position - p).square().sum(-1) for p in (pose, mirrored)]).amin(0)
+    return torch.exp(-error[..., None] / sigma**2)
+
+
+def entered_mode(td: TensorDictBase, next_td: TensorDictBase, *, mode: int) -> Tensor:
+    """1 for the step that led into a mode; reads ``mode``; returns ``(*B, 1)``."""
+    before, after = (x["mode"][..., mode : mode + 1] for x in (td, next_td))
+    return ((after > 0) & (before == 0)).float()
+
+
+def entered_mode_ends(td: TensorDictBase, next_td: TensorDictBase, *, mode: int) -> Tensor:
+    """Condition for an end: that the step led into a mode; ``(*B, 1)`` bool."""
+    return entered_mode(td, next_td, mode=mode) > 0

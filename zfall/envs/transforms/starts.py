@@ -1,6 +1,7 @@
 """How an episode begins."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -176,6 +177,54 @@ class ReferenceStart(Transform):
         start["joint_velocity"] += per_world(self.joint_velocity, 2) * noise[1]
         for name, value in start.items():
             tensordict["start", name] = value
+        return tensordict
+
+
+class FallingStart(Transform):
+    """Starts episodes in the midst of falls, states recorded from a policy that was pushed.
+
+    Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
+    others begin as what comes before it in the table says. ``python -m recipes.falls`` records.
+
+    Args:
+        env: the base env.
+        bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
+        share: of the episodes that begin in a fall.
+
+    Raises:
+        ValueError: if the file is missing, or is of another robot, or the share is not in (0, 1].
+    """
+
+    def __init__(self, env: HumanoidEnv, *, bank: str | None = None, share: float = 1.0):
+        super().__init__()
+        if not 0 < share <= 1:
+            raise ValueError(f"share must lie in (0, 1], got {share}.")
+        own = Path(env.robot.mjcf).with_name(f"{env.robot.name}_falls.npz")
+        path = own if bank is None else Path(bank)
+        if not path.is_file():
+            raise ValueError(f"bank must be a file that recipes.falls wrote, there is no {path}.")
+        with np.load(path) as file:
+            states = {key: torch.from_numpy(file[key]).float() for key in STATE_KEYS}
+        if states["joint_position"].shape[1] != len(env.stand_position):
+            raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
+        self.share, self.num_envs, self.rng = share, env.num_envs, env.rng
+        self.sizes = {key: value.shape[-1] for key, value in states.items()}
+        self.table = torch.cat(list(states.values()), -1)
+        base = torch.tensor(env.simulation.model.key("stand").qpos).float()
+        self.stand = {"base_position": base[:3], "base_orientation": base[3:7]}
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        row = torch.randint(len(self.table), (self.num_envs,), generator=self.rng)
+        falls = torch.rand(self.num_envs, 1, generator=self.rng) < self.share
+        values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
+        for name, value in zip(self.sizes, values, strict=True):
+            there = tensordict.get(("start", name), None)
+            if there is None:
+                there = self.stand.get(name, torch.zeros_like(value)).expand_as(value)
+            tensordict["start", name] = torch.where(falls, value, there)
         return tensordict
 
 

@@ -37,6 +37,10 @@ class JointPositionTarget(Transform):
         self.register_buffer("reference", env.stand_position)
         self.register_buffer("range", env.joint_range)
 
+    def action_toward(self, pose: Tensor) -> Tensor:
+        """The action whose target is a pose ``(*B, J)`` [rad]."""
+        return (pose - self.reference) / self.scale
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         low, high = self.range.unbind(-1)
         target = self.reference + per_world(self.scale, 2) * tensordict["action"]

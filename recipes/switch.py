@@ -1,0 +1,78 @@
+"""Puts a policy that recovers and one that kneels together, switched by the mode machine.
+
+``python -m recipes.switch recover=RUN kneel=RUN hydra.run.dir=runs/switched`` writes a run folder
+that ``recipes.evaluate`` takes.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra import compose
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from recipes.one_line import check_keys, one_line_errors, start
+from recipes.tested import checkpoint_of
+from zfall import checkpoint
+from zfall.modules.switched import SwitchedActor
+
+SAME = ("action", "observation")  # what both must have been trained with
+
+
+@hydra.main(version_base=None, config_path=".", config_name="switch")
+def main(cfg: DictConfig) -> None:
+    """Writes ``checkpoints/last.pt`` with both policies and the env ``push_to_kneel``."""
+    with one_line_errors():
+        check_keys(cfg, {"recover", "kneel", "checkpoint"})
+        folder = Path(HydraConfig.get().runtime.output_dir)
+        content = switched(cfg)
+    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+    checkpoint.save(folder / "checkpoints" / "last.pt", content)
+    print(f"wrote {folder}/checkpoints/last.pt")
+
+
+def switched(cfg: DictConfig) -> dict[str, Any]:
+    """The content of a checkpoint of both.
+
+    Raises:
+        ValueError: if one is missing, or they do not see or do the same.
+    """
+    parts = {name: checkpoint.load(checkpoint_of(cfg[name], cfg.checkpoint)) for name in
+             ("recover", "kneel")}  # fmt: skip
+    configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
+    recover, kneel = configs["recover"], configs["kneel"]
+    for name in SAME:
+        one, two = (OmegaConf.to_container(c.env.transforms[name]) for c in (recover, kneel))
+        if one != two:
+            raise ValueError(
+                f"recover and kneel must have the same env.transforms.{name}, got {one} and {two}."
+            )
+    env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
+    env_cfg.base_env = kneel.env.base_env
+    for name in (*SAME, "mode"):
+        env_cfg.transforms[name] = kneel.env.transforms[name]
+    env_cfg.transforms.mode.initial = "recover"
+    env = instantiate(env_cfg, base_env={"num_envs": 1})
+    spec, action_spec = env.observation_spec, env.action_spec
+    actors = []
+    for name, part in parts.items():
+        actor = instantiate(configs[name].actor, spec, action_spec)
+        checkpoint.check_fits(part, env.base_env.robot.name, actor, Path(cfg[name]))
+        actor.load_state_dict(part["policy"])
+        actors.append(actor)
+    state = SwitchedActor(*actors).state_dict()
+    actor_cfg = {"_target_": "zfall.modules.switched.switched_actor", "_recursive_": False}
+    actor_cfg |= {name: OmegaConf.to_container(configs[name].actor) for name in parts}
+    config = OmegaConf.create({"env": env_cfg, "actor": actor_cfg, "num_envs": 1})
+    return {
+        "config": OmegaConf.to_yaml(config, resolve=True),
+        "robot": parts["kneel"]["robot"],
+        "actor": state,
+        "policy": state,
+    }
+
+
+if __name__ == "__main__":
+    start(main)

@@ -1,0 +1,114 @@
+"""Terms of kneeling by hand, and the keyframe that they aim at."""
+
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zfall.envs.robots import ZEROTH01
+from zfall.envs.rotations import tilt
+from zfall.envs.terms import kneel
+
+R = len(ZEROTH01.regions)
+
+
+def contact(*regions: str) -> TensorDict:
+    force = torch.zeros(1, R)
+    for region in regions:
+        force[0, ZEROTH01.regions.index(region)] = 3.0
+    return TensorDict({"contact_force_peak": force}, batch_size=[1])
+
+
+def test_regions_are_found_on_both_sides():
+    names = [ZEROTH01.regions[i] for i in kneel.regions_named(ZEROTH01, "knee", "shin")]
+    assert sorted(names) == ["left_knee", "left_shin", "right_knee", "right_shin"]
+    assert kneel.touching(contact("right_shin"), ZEROTH01, "shin").item()
+    assert not kneel.touching(contact("right_foot"), ZEROTH01, "shin").item()
+
+
+def test_lowering_is_the_share_of_a_third_of_the_height():
+    h0 = ZEROTH01.com_height
+    for height, value in ((1.1 * h0, 0.0), (h0, 0.0), (5 / 6 * h0, 0.5), (0.5 * h0, 1.0)):
+        td = TensorDict({"com_position": torch.tensor([[0.0, 0.0, height]])}, batch_size=[1])
+        term = kneel.com_lowering(td, td, robot=ZEROTH01)
+        assert term.item() == pytest.approx(value, abs=1e-5)
+
+
+def test_shocks_count_from_rest_on():
+    for peak, value in ((9.81, 1.0), (29.81, 0.367879), (0.0, 0.786)):
+        td = TensorDict({"base_acceleration_peak": torch.tensor([[peak]])}, batch_size=[1])
+        term = kneel.controlled_descent(td, td, sigma=20.0)
+        assert term.item() == pytest.approx(value, abs=1e-3)
+
+
+def test_turning_counts_in_all_axes():
+    td = TensorDict({"base_angular_velocity": torch.tensor([[0.0, 1.2, -1.6]])}, batch_size=[1])
+    term = kneel.low_angular_rate(td, td, sigma=2.0)
+    assert term.item() == pytest.approx(0.367879, abs=1e-5)
+
+
+def test_a_kneel_may_be_on_either_side():
+    pose = torch.tensor([ZEROTH01.kneel_position])
+    other = pose[:, list(ZEROTH01.mirror_index)] * torch.tensor(ZEROTH01.mirror_sign)
+    stand = torch.tensor([ZEROTH01.stand_position])
+    near = [
+        kneel.kneel_pose(td, td, robot=ZEROTH01, sigma=1.4).item()
+        for td in (TensorDict({"joint_position": q}, batch_size=[1]) for q in (pose, other, stand))
+    ]
+    assert near[0] == near[1] == 1.0
+    assert near[2] < 0.3
+    assert not torch.allclose(pose, other)
+
+
+def test_a_term_counts_in_its_mode_alone():
+    def one(td, next_td):
+        return torch.ones(3, 1)
+
+    td = TensorDict({"mode": torch.eye(3)}, batch_size=[3])
+    value = kneel.in_mode(td, td, robot=ZEROTH01, mode=1, term=partial(one))
+    assert value[:, 0].tolist() == [0.0, 1.0, 0.0]
+    touched = partial(kneel.region_contact_ends, names=["hand"])
+    hands = TensorDict(
+        {"mode": torch.eye(3), "contact_force_peak": torch.ones(3, R)}, batch_size=[3]
+    )
+    ends = kneel.in_mode(hands, hands, robot=ZEROTH01, mode=1, term=touched)
+    assert ends.dtype == torch.bool
+    assert ends[:, 0].tolist() == [False, True, False]
+
+
+def test_entering_a_mode_counts_once():
+    before = TensorDict({"mode": torch.eye(3)[[1, 2, 0]]}, batch_size=[3])
+    after = TensorDict({"mode": torch.eye(3)[[2, 2, 1]]}, batch_size=[3])
+    assert kneel.entered_mode(before, after, mode=2)[:, 0].tolist() == [1.0, 0.0, 0.0]
+    assert kneel.entered_mode_ends(before, after, mode=2)[:, 0].tolist() == [True, False, False]
+
+
+def test_the_servos_hold_the_keyframe_for_ten_seconds_under_noise(make_base):
+    """31 copies with 1 degree of noise on all targets, and one without."""
+    env = make_base(num_envs=32)
+    key = env.simulation.model.key("kneel")
+    pose = torch.tensor(ZEROTH01.kneel_position)
+    generator = torch.Generator().manual_seed(0)
+    noise = 0.0175 * torch.randn(32, 20, generator=generator)
+    noise[0] = 0.0
+    target = (pose + noise).clamp(*env.joint_range.unbind(-1))
+    start = {
+        "joint_position": target,
+        "base_position": torch.tensor(key.qpos[:3]).float().expand(32, -1),
+        "base_orientation": torch.tensor(key.qpos[3:7]).float().expand(32, -1),
+    }
+    env.reset(TensorDict({("start", k): v for k, v in start.items()}, batch_size=[32]))
+    for _ in range(round(10.0 / env.control_dt)):
+        td = env.step(TensorDict({"target": target}, batch_size=[32]))["next"]
+    rests = kneel.resting_kneel(td, td, robot=ZEROTH01)
+    free = ~kneel.touching(td, ZEROTH01, "hand", "arm", "thigh")
+    upright = tilt(td["base_orientation"])[:, None] < 0.35
+    held = rests & free & upright
+    assert held[0].item()
+    assert held.float().mean() > 0.9
+    assert td["com_position"][0, 2] == pytest.approx(0.140, abs=0.005)
+    drift = (torch.tensor(key.qpos[2:7]).float() - env.simulation.qpos[0, 2:7].float()).abs().max()
+    assert drift < 0.02  # the keyframe is where it rests
+    low, high = env.joint_range.unbind(-1)
+    assert ((pose >= low) & (pose <= high)).all()

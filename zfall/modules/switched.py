@@ -1,0 +1,62 @@
+"""Two policies, of which the mode chooses one."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.data import Composite
+
+
+class SwitchedActor(TensorDictModuleBase):
+    """Acts as one policy in mode RECOVER and as another in KNEEL and STABLE.
+
+    Keys: reads ``mode`` ``(*B, 3)`` and what the two read, writes ``action`` ``(*B, J)`` and both
+    hidden states.
+
+    Args:
+        recover: the policy of mode RECOVER.
+        kneel: that of the others.
+
+    Raises:
+        ValueError: if both have a memory: they would share its key.
+    """
+
+    def __init__(self, recover: Any, kneel: Any):
+        super().__init__()
+        memories = [
+            [key for key in actor.in_keys if str(key).startswith("recurrent_state")]
+            for actor in (recover, kneel)
+        ]
+        if all(memories):
+            raise ValueError("recover and kneel must not both have a memory, got two GRUs.")
+        self.recover, self.kneel = recover, kneel
+        self.in_keys = list(dict.fromkeys([*recover.in_keys, *kneel.in_keys, "mode"]))
+        others = [key for key in (*recover.out_keys, *kneel.out_keys) if isinstance(key, tuple)]
+        self.out_keys = ["action", *dict.fromkeys(others)]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action."""
+        actions = []
+        for actor in (self.recover, self.kneel):
+            out = actor(tensordict.select(*actor.in_keys, strict=False))
+            actions.append(out["action"])
+            for key in self.out_keys[1:]:
+                if key in out.keys(True):
+                    tensordict[key] = out[key]
+        recovers = tensordict["mode"][..., :1] > 0
+        return tensordict.set("action", torch.where(recovers, *actions))
+
+
+def switched_actor(
+    observation_spec: Composite,
+    action_spec: Composite,
+    *,
+    recover: Mapping[str, Any],
+    kneel: Mapping[str, Any],
+) -> SwitchedActor:
+    """Both policies from their configs; they read the same ``observation``."""
+    actors = [instantiate(config, observation_spec, action_spec) for config in (recover, kneel)]
+    return SwitchedActor(*actors)
