@@ -1,8 +1,8 @@
 """Records the midst of falls, from which kneeling is learned: ``python -m recipes.falls run=best``.
 
 A policy is pushed from all sides, at the torso and at the pelvis, by more than it withstands. Of
-every trial that ends on the floor the states are kept in which the trunk first leaned by 0.3, 0.4,
-0.5 and 0.6 rad before anything but the feet touched.
+every trial that ends on the floor the states 0.08, 0.12 and 0.16 s after the push began are kept:
+later there is no time left, a fall takes 0.3 s.
 """
 
 from pathlib import Path
@@ -13,17 +13,15 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from rich.console import Console
-from torch import Tensor
 
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import load_run
 from zfall.envs.humanoid import STATE_KEYS
-from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.evaluation.battery import battery_env, play, start_positions
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
 
-ANGLES = (0.3, 0.4, 0.5, 0.6)  # [rad]
+TIMES = (0.08, 0.12, 0.16)  # [s]
 
 
 @hydra.main(version_base=None, config_path=".", config_name="falls")
@@ -38,7 +36,7 @@ def main(cfg: DictConfig) -> None:
         point=["torso", "pelvis"],
         impulses=list(cfg.impulses),
         starts=cfg.starts,
-        push_time=0.5,
+        push_time=0.52,  # whole control steps of 20 and 40 ms
         end_time=2.5,
         directions=24,
     )
@@ -54,23 +52,16 @@ def main(cfg: DictConfig) -> None:
     for buffer, value in ((push.plan, pushes.force), (push.index, pushes.point)):
         buffer[:, :1] = value
     push.time[:, 1:] = torch.inf
-    kept: dict[float, list[tuple[Tensor, Tensor]]] = {angle: [] for angle in ANGLES}
-    seen = {angle: torch.zeros(base.num_envs, dtype=torch.bool) for angle in ANGLES}
-    fell = torch.zeros(base.num_envs, dtype=torch.bool)
+    moments, fell = [], torch.zeros(base.num_envs, dtype=torch.bool)
     steps = round(battery.end_time / base.control_dt)
-    for td in play(env, actor, steps):
+    for step, td in enumerate(play(env, actor, steps), 1):
         fell |= body_contact(td, td).squeeze(-1)
-        lean = tilt(td["base_orientation"])
-        state = torch.cat([td[key] for key in STATE_KEYS], -1)
-        for angle in ANGLES:
-            now = (lean > angle) & ~seen[angle] & ~fell
-            seen[angle] |= lean > angle
-            kept[angle].append((now.nonzero()[:, 0], state[now]))
-    states = []
-    for parts in kept.values():
-        worlds, values = torch.cat([w for w, _ in parts]), torch.cat([v for _, v in parts])
-        states.append(values[fell[worlds] & (worlds < len(trials))])
-    table = torch.cat(states)
+        since_push = step * base.control_dt - battery.push_time
+        if any(abs(since_push - time) < 0.5 * base.control_dt for time in TIMES):
+            state = torch.cat([td[key] for key in STATE_KEYS], -1)
+            moments.append(torch.where(fell[:, None], torch.nan, state))
+    states = torch.stack(moments, 1)[: len(trials)][fell[: len(trials)]].flatten(0, 1)
+    table = states[~states.isnan().any(-1)]
     sizes = [td[key].shape[-1] for key in STATE_KEYS]
     arrays = dict(zip(STATE_KEYS, table.split(sizes, -1), strict=True))
     arrays["base_position"][:, :2] = 0.0

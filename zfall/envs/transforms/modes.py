@@ -193,6 +193,9 @@ class StableHold(Transform):
         self.register_buffer("held", env.stand_position.repeat(env.num_envs, 1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        stable = tensordict["mode"][:, STABLE, None] > 0
+        mode = tensordict.get("mode", None)
+        if mode is None:
+            raise ValueError("StableHold needs the key mode: put a ModeMachine into the table.")
+        stable = mode[:, STABLE, None] > 0
         self.held = torch.where(stable, self.held, tensordict["target"])
         return tensordict.set("target", self.held)
