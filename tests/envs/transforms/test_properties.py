@@ -89,6 +89,11 @@ TABLE = {  # in the order of a yaml
     "power": {"_target_": f"{_WINDOWS}.JointPower"},
     "air_time": {"_target_": f"{_WINDOWS}.FeetAirTime"},
     "effort": {"_target_": f"{_WINDOWS}.JointEffort"},
+    "predictor": {
+        "_target_": "zfall.envs.transforms.modes.FallPredictor",
+        "network": {"_target_": "zfall.modules.fall_network.FallNetwork", "size": 6},
+        "keys": IMU,
+    },
     "mode": {"_target_": "zfall.envs.transforms.modes.ModeMachine", "hold": 0.08, "back": 0.08},
     "fall": {
         "_target_": "zfall.envs.transforms.terminations.Terminations",
@@ -154,11 +159,14 @@ def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
     target, names = table
     if "curriculum" in names:
         names = names | {"start"}
+    if "stable" in names:
+        names = names | {"mode"}
     if "near" in names:
         names = names | {"observation"}
     names = names - (set(TILTS.values()) - {TILTS[target]})
     base = HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=Ball(mass=0.2, radius=0.03))
     chosen = {name: TABLE[name] for name in TABLE if name in names}
+    torch.manual_seed(0)  # of the networks that transforms bring
     env = make_env(base, {"action": TARGETS[target]} | copy.deepcopy(chosen))
     env.set_seed(0)
     return env

@@ -1,7 +1,8 @@
 """When to recover, when to kneel, and when it is done."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -13,6 +14,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.terms.kneel import resting_kneel
+from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.starts import reset_rows
 
 MODES = ("recover", "kneel", "stable")
@@ -199,3 +201,41 @@ class StableHold(Transform):
         stable = mode[:, STABLE, None] > 0
         self.held = torch.where(stable, self.held, tensordict["target"])
         return tensordict.set("target", self.held)
+
+
+class FallPredictor(Transform):
+    """Says after every step how likely a fall can no longer be avoided.
+
+    Keys: reads ``keys``, as measured where sensing comes before it in the table, and writes
+    ``fall_probability`` ``(N, 1)``; its memory begins anew with every episode.
+
+    Args:
+        env: the base env.
+        network: a module with ``hidden_size`` that takes measurements ``(N, D)`` and a memory
+            ``(N, H)`` and returns a probability ``(N, 1)`` and the next memory.
+        keys: what it was trained with, in order.
+    """
+
+    memory: Tensor
+
+    def __init__(self, env: HumanoidEnv, *, network: Any, keys: Sequence[str]):
+        super().__init__(in_keys=list(keys), out_keys=["fall_probability"])
+        self.network = network
+        self.register_buffer("memory", torch.zeros(env.num_envs, network.hidden_size))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        values = [read_measured(next_tensordict, key).flatten(1) for key in self.in_keys]
+        with torch.no_grad():
+            probability, self.memory = self.network(torch.cat(values, -1), self.memory)
+        return next_tensordict.set("fall_probability", probability)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        self.memory = torch.where(rows[:, None], 0.0, self.memory)
+        return tensordict_reset.set("fall_probability", torch.zeros(len(rows), 1))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["fall_probability"] = Unbounded((*observation_spec.shape, 1))
+        return observation_spec

@@ -1,0 +1,112 @@
+"""The predictor of falls: steps and sequences agree, and it learns what can be known."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from recipes.trigger import History, calibrate, labels, learned, probabilities, table
+from zfall.envs.transforms.modes import FallPredictor
+from zfall.modules.fall_network import FallNetwork, load_fall_network, save_fall_network
+
+
+@pytest.fixture
+def network() -> FallNetwork:
+    torch.manual_seed(0)
+    network = FallNetwork(6, 8)
+    network.normalizer.update(torch.randn(100, 6))
+    return network
+
+
+def test_steps_equal_the_sequence(network):
+    sequence = torch.randn(4, 20, 6)
+    network.slope.fill_(1.7)
+    network.offset.fill_(-0.3)
+    whole = torch.sigmoid(1.7 * network.logits(sequence)[0] - 0.3)
+    memory = torch.zeros(4, 8)
+    for step in range(20):
+        probability, memory = network(sequence[:, step], memory)
+        torch.testing.assert_close(probability[:, 0], whole[:, step])
+
+
+def test_a_file_gives_the_network_back(network, tmp_path):
+    save_fall_network(network, tmp_path / "net.pt")
+    again = load_fall_network(str(tmp_path / "net.pt"))
+    sequence = torch.randn(2, 5, 6)
+    assert torch.equal(again.logits(sequence)[0], network.logits(sequence)[0])
+    with pytest.raises(ValueError, match="no such file"):
+        load_fall_network(str(tmp_path / "none.pt"))
+
+
+def test_the_transform_begins_anew_with_each_episode(make_base, network):
+    env = make_base(num_envs=3)
+    keys = ["projected_gravity", "base_angular_velocity"]
+    predictor = FallPredictor(env, network=network, keys=keys)
+    sequence = torch.randn(4, 3, 6)
+    for step in range(4):
+        if step == 2:
+            reset = TensorDict({"_reset": torch.tensor([[False], [True], [False]])}, [3])
+            predictor._reset(reset, TensorDict(batch_size=[3]))
+        measured = dict(zip(keys, sequence[step].split(3, -1), strict=True))
+        td = predictor._step(TensorDict(batch_size=[3]), TensorDict(measured, batch_size=[3]))
+    whole = torch.sigmoid(network.logits(sequence.transpose(0, 1))[0][:, -1])
+    short = torch.sigmoid(network.logits(sequence[2:].transpose(0, 1))[0][:, -1])
+    expected = torch.stack([whole[0], short[1], whole[2]])
+    torch.testing.assert_close(td["fall_probability"][:, 0], expected)
+
+
+def made_up(trials: int = 400) -> History:
+    """Falls with the chance that a measured number says, from the push at step 5 on."""
+    torch.manual_seed(1)
+    chance = torch.rand(trials)
+    measured = chance[:, None, None].expand(-1, 12, 6).clone()
+    measured[:, :5] = 0.0
+    fell = torch.rand(trials) < chance
+    live = torch.ones(trials, 12, dtype=torch.bool)
+    live[fell, 10:] = False
+    return History(measured, chance[:, None], chance[:, None], live, fell, torch.arange(12) >= 5)
+
+
+def test_before_the_push_no_fall_is_sure():
+    history = made_up()
+    truth = labels(history)
+    assert (truth[:, :5] == 0).all()
+    assert torch.equal(truth[:, 5:], history.fell[:, None].float().expand(-1, 7))
+
+
+def test_calibration_makes_what_is_said_come_true():
+    """The raw logit is three times too sure of itself and shifted; Platt's fit takes both back."""
+    history = made_up(4000)
+
+    class Sure(FallNetwork):
+        def logits(self, sequence, memory=None):
+            p = sequence[..., 0].clamp(0.01, 0.99)
+            known = 3.0 * torch.logit(p) + 1.0
+            return torch.where(sequence[..., 0] == 0, -60.0, known), torch.zeros(len(sequence), 1)
+
+    network = Sure(6, 4)
+    calibrate(network, history)
+    said = probabilities(network, history)[:, 5]
+    for low in (0.1, 0.3, 0.5, 0.7):
+        rows = (said > low) & (said < low + 0.2)
+        assert rows.sum() > 100
+        assert history.fell[rows].float().mean() == pytest.approx(
+            said[rows].mean().item(), abs=0.07
+        )
+
+
+def test_lead_and_false_alarms_by_hand():
+    live = torch.ones(3, 10, dtype=torch.bool)
+    live[0, 8:], live[1, 6:] = False, False
+    history = History(
+        torch.zeros(3, 10, 1), torch.zeros(3, 10), torch.zeros(3, 10), live,
+        torch.tensor([True, True, False]), torch.arange(10) >= 2,
+    )  # fmt: skip
+    probability = torch.zeros(3, 10)
+    probability[0, 3] = 0.9  # five steps ahead, and it goes down again
+    probability[1, 7] = 0.9  # after the touch: too late
+    probability[2, 4] = 0.6
+    rows = table("network", history, learned(probability), 0.04).set_index("setting")
+    assert rows.loc["0.5", "detected"] == 0.5
+    assert rows.loc["0.5", "lead_s"] == pytest.approx(0.2)
+    assert rows.loc["0.5", "false_alarms"] == 1.0
+    assert rows.loc["0.8", "false_alarms"] == 0.0

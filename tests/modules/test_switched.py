@@ -1,0 +1,44 @@
+"""Two policies and the mode that chooses."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zfall.modules.switched import SwitchedActor, switched_actor
+
+MLP = {"_target_": "zfall.modules.actors.mlp_actor", "num_cells": [8]}
+GRU = {"_target_": "zfall.modules.actors.gru_actor", "hidden_size": 8, "num_layers": 1}
+
+
+def specs(env):
+    spec = env.observation_spec.clone()
+    return spec, env.full_action_spec["action"]
+
+
+@pytest.fixture
+def env(compose_config):
+    from hydra.utils import instantiate
+
+    return instantiate(compose_config("experiment=push_to_kneel", "num_envs=3").env)
+
+
+def test_the_mode_chooses_world_by_world(env):
+    torch.manual_seed(0)
+    actor = switched_actor(*specs(env), recover=MLP, kneel=MLP)
+    td = TensorDict({"observation": torch.randn(3, env.observation_spec["observation"].shape[-1]),
+                     "mode": torch.eye(3)}, batch_size=[3])  # fmt: skip
+    from torchrl.envs import ExplorationType, set_exploration_type
+
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        out = actor(td.clone())["action"]
+        one, two = (part(td.clone())["action"] for part in (actor.recover, actor.kneel))
+    assert torch.equal(out, torch.stack([one[0], two[1], two[2]]))
+    assert not torch.equal(one, two)
+
+
+def test_one_may_have_a_memory_and_both_may_not(env):
+    actor = switched_actor(*specs(env), recover=GRU, kneel=MLP)
+    assert "recurrent_state_actor" in actor.in_keys
+    assert ("next", "recurrent_state_actor") in actor.out_keys
+    with pytest.raises(ValueError, match="must not both have a memory"):
+        SwitchedActor(actor.recover, actor.recover)

@@ -1,0 +1,69 @@
+"""A small recurrent network that says how likely a fall is."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from zfall import checkpoint
+from zfall.modules.normalization import ObservationNormalizer
+
+
+class FallNetwork(nn.Module):
+    """Probability that a fall can no longer be avoided, from a sequence of measurements.
+
+    A GRU reads normalised measurements; a linear layer gives the logit, which a calibration scales:
+    ``p = sigmoid(slope * logit + offset)``.
+
+    Args:
+        size: length of the measurements.
+        hidden_size: of the GRU.
+    """
+
+    slope: Tensor
+    offset: Tensor
+
+    def __init__(self, size: int, hidden_size: int = 32):
+        super().__init__()
+        self.normalizer = ObservationNormalizer(size)
+        self.gru = nn.GRU(size, hidden_size, batch_first=True)
+        self.out = nn.Linear(hidden_size, 1)
+        self.register_buffer("slope", torch.ones(()))
+        self.register_buffer("offset", torch.zeros(()))
+
+    @property
+    def hidden_size(self) -> int:
+        """Width of the memory."""
+        return self.gru.hidden_size
+
+    def logits(self, sequence: Tensor, memory: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Raw logits ``(N, T)`` of sequences ``(N, T, D)``, and the memory after ``(N, H)``."""
+        before = None if memory is None else memory[None].contiguous()
+        features, after = self.gru(self.normalizer(sequence), before)
+        return self.out(features).squeeze(-1), after[0]
+
+    def forward(self, measurement: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Calibrated probability ``(N, 1)`` after one step ``(N, D)``, and the new memory."""
+        logit, after = self.logits(measurement[:, None], memory)
+        return torch.sigmoid(self.slope * logit + self.offset), after
+
+
+def save_fall_network(network: FallNetwork, path: Path) -> None:
+    """Writes the weights and sizes."""
+    sizes = {"size": network.gru.input_size, "hidden_size": network.hidden_size}
+    checkpoint.save(path, {"sizes": sizes, "fall_network": network.state_dict()})
+
+
+def load_fall_network(path: str | None = None) -> FallNetwork:
+    """The network of a file that ``recipes.trigger`` wrote; ``None``: the one that ships.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    shipped = Path(__file__).parents[1] / "policies" / "fall_network.pt"
+    content = checkpoint.load(shipped if path is None else Path(path))
+    if "fall_network" not in content:
+        raise ValueError(f"path must be a file of recipes.trigger, {path} is of another kind.")
+    network = FallNetwork(**content["sizes"])
+    network.load_state_dict(content["fall_network"])
+    return network.eval()
