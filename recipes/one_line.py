@@ -23,9 +23,14 @@ def one_line_errors() -> Iterator[None]:
     try:
         yield
     except InstantiationException as error:
-        raise SystemExit(f"error: {_innermost(error)}") from None
+        raise SystemExit(f"error: {in_one_line(error)}") from None
     except (ValueError, OSError, HydraException, OmegaConfBaseException) as error:
         raise SystemExit(f"error: {_flat(str(error))}") from None
+
+
+def in_one_line(error: BaseException) -> str:
+    """What went wrong, without hydra's account of where."""
+    return _innermost(error) if isinstance(error, InstantiationException) else _flat(str(error))
 
 
 def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:

@@ -72,6 +72,20 @@ def main(cfg: DictConfig) -> None:
         show(learner, untrained, folder, console)
 
 
+def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
+    """Trains a composed config in a folder, from its last checkpoint if there is one.
+
+    Returns:
+        Whether it came to its end; False if ctrl-c ended it early.
+    """
+    learner, run = Learner(cfg), RunFolder(folder)
+    if (folder / "checkpoints" / "last.pt").exists():
+        state = checkpoint.load(folder / "checkpoints" / "last.pt")
+        learner.load_state_dict(state)
+        run.load_state_dict(state["run"])
+    return train(learner, run, console)
+
+
 def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictConfig:
     """The config of a run, with the values that were given to resume it.
 

@@ -76,6 +76,7 @@ def test_before_the_push_no_fall_is_sure():
 def test_calibration_makes_what_is_said_come_true():
     """The raw logit is three times too sure of itself and shifted; Platt's fit takes both back."""
     history = made_up(4000)
+    history = history._replace(live=torch.ones_like(history.live))  # all steps count alike
 
     class Sure(FallNetwork):
         def logits(self, sequence, memory=None):

@@ -35,10 +35,10 @@ def bootstrap_interval(
     resamples: int = 9999,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval of a statistic over seeds; one value is its own interval."""
+    """Percentile bootstrap interval of a statistic over seeds; equal values are their own."""
     data = np.asarray(values, dtype=float)
-    if len(data) < 2:
-        return float(data[0]), float(data[0])
+    if len(data) < 2 or np.ptp(data) == 0.0:
+        return float(statistic(data)), float(statistic(data))
     interval = bootstrap(
         (data,),
         statistic,

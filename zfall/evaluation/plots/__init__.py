@@ -1,8 +1,11 @@
 """Figures of batteries and of training, for a screen and for a two-column paper."""
 
+import logging
+
 import matplotlib as mpl
 
 mpl.use("Agg")
+logging.getLogger("fontTools").setLevel(logging.WARNING)  # tells of every font in a pdf
 mpl.rcParams |= {"pdf.fonttype": 42, "ps.fonttype": 42}  # fonts that journals take
 
 from zfall.evaluation.plots.curves import learning_bands, learning_curves  # noqa: E402

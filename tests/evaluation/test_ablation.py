@@ -1,0 +1,62 @@
+"""Tables of studies by hand."""
+
+import pandas as pd
+import pytest
+
+from zfall.evaluation.ablation import FIGURES, as_frame, as_latex, as_markdown, study_table
+
+
+def lines(**values: list[float]) -> pd.DataFrame:
+    count = len(next(iter(values.values())))
+    rest = {figure: [1.0] * count for figure in FIGURES}
+    return pd.DataFrame({"seed": range(count)} | rest | values)
+
+
+@pytest.fixture
+def table():
+    base = lines(i50_mean=[0.50, 0.60, 0.40], frames_per_s=[100.0, 110.0, 120.0])
+    better = lines(i50_mean=[0.55, 0.66, 0.44], frames_per_s=[50.0, 60.0, 70.0])
+    return study_table({"base": base, "better": better, "not run": lines(seed=[])})
+
+
+def test_differences_are_paired_by_seed(table):
+    """Each seed gains 0.04 to 0.06, although the rows overlap: only pairs show it."""
+    cell = table["better"]["i50_mean"]
+    assert cell.mean == pytest.approx(0.55)
+    assert cell.difference[0] == pytest.approx(0.05)
+    assert cell.difference[1] >= 0.04 - 1e-9
+    assert cell.difference[2] <= 0.06 + 1e-9
+    assert cell.distinct
+    assert cell.low < table["base"]["i50_mean"].high
+
+
+def test_the_first_row_and_speed_have_no_difference(table):
+    assert table["base"]["i50_mean"].difference is None
+    assert table["better"]["frames_per_s"].difference is None
+    assert "not run" not in table
+
+
+def test_a_difference_that_may_be_zero_is_not_distinct():
+    base, other = lines(i50_mean=[0.5, 0.6]), lines(i50_mean=[0.55, 0.55])
+    cell = study_table({"base": base, "other": other})["other"]["i50_mean"]
+    assert cell.difference[0] == pytest.approx(0.0)
+    assert not cell.distinct
+
+
+def test_seeds_that_only_one_has_are_left_out_of_the_difference():
+    base, other = lines(i50_mean=[0.5, 0.6, 0.9]), lines(i50_mean=[0.6, 0.7])
+    cell = study_table({"base": base, "other": other})["other"]["i50_mean"]
+    assert cell.difference[0] == pytest.approx(0.1)
+
+
+def test_texts_show_what_is_bold_and_what_is_missing(table):
+    missing = {"broken, seed 0": "failed: no_such_key"}
+    text = as_markdown(table, missing)
+    assert "0.550 [0.440, 0.660]; **+0.050 [+0.040, +0.060]**" in text
+    assert "| broken, seed 0 | failed: no_such_key |" in text
+    latex = as_latex(table, missing)
+    assert r"\textbf{+0.050 [+0.040, +0.060]}" in latex
+    assert r"no\_such\_key" in latex
+    assert latex.count(r"\\") == 1 + 2 + 1
+    frame = as_frame(table).set_index(["row", "figure"])
+    assert frame.loc[("better", "i50_mean"), "difference"] == pytest.approx(0.05)

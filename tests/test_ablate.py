@@ -1,0 +1,104 @@
+"""Studies: what is finished stays, what was cut goes on, what fails is marked."""
+
+import multiprocessing
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tests.test_recipes import run
+
+STUDY = """
+name: tiny
+base: [experiment=quickstart, num_envs=16, rollout_steps=4, checkpoint_every=1]
+rows: {none: [], mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]}
+seeds: [0, 1]
+total_frames: 256
+battery: {name: planar, starts: 1, impulses: [0.1, 0.4], directions: 2, end_time: 3.4}
+training_size: "0.4"
+"""
+OTHER = (
+    STUDY.replace("name: tiny", "name: other")
+    .replace("none: []", "plain: []")
+    .replace(", mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]", "")
+)
+
+
+@pytest.fixture
+def studies(tmp_path) -> list[str]:
+    own = tmp_path / "own" / "study"
+    own.mkdir(parents=True)
+    (own / "tiny.yaml").write_text(STUDY)
+    (own / "other.yaml").write_text(OTHER)
+    return ["--config-dir", str(own.parent), f"results={tmp_path}/results", f"runs={tmp_path}/runs"]
+
+
+def without_speed(folder: Path, name: str) -> list[str]:
+    text = (folder / "results" / f"{name}.csv").read_text().splitlines()
+    return [line for line in text if "frames_per_s" not in line]
+
+
+def ablate(args: list[str]) -> None:
+    """``python -m recipes.ablate ARGS`` in a process of its own."""
+    import torch
+
+    from recipes import ablate as recipe
+    from recipes.one_line import start
+
+    torch.set_num_threads(1)
+    sys.argv = ["recipes/ablate.py", *args]
+    start(recipe.main)
+
+
+def test_a_study_marks_what_failed_and_runs_what_is_shared_once(studies, tmp_path):
+    done = run("ablate", *studies, "study=tiny")
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "results" / "tiny.md").read_text()
+    assert "| none |" in text
+    assert "| bad, seed 1 | failed: point must be a push point" in text
+    for ending in ("csv", "tex", "png", "pdf"):
+        assert (tmp_path / "results" / f"tiny.{ending}").exists()
+    files = set((tmp_path / "results" / "runs").glob("*.csv"))
+    assert len(files) == 2 * 4  # two rows, two seeds; figures and a curve
+    figures = pd.read_csv(tmp_path / "results" / "tiny.csv")
+    assert set(figures["row"]) == {"none", "mirrored"}
+    times = {path: path.stat().st_mtime_ns for path in files}
+    done = run("ablate", *studies, "study=other")  # its only row is a row of the first
+    assert done.returncode == 0, done.stderr
+    assert {path: path.stat().st_mtime_ns for path in files} == times
+    assert set((tmp_path / "results" / "runs").glob("*.csv")) == files
+    before = without_speed(tmp_path, "tiny")
+    assert run("ablate", *studies, "study=tiny", "rebuild=true").returncode == 0
+    assert without_speed(tmp_path, "tiny") == before
+
+
+def test_a_study_killed_and_started_again_gives_the_same_table(studies, tmp_path):
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["recipes.ablate"])
+    alone = [*studies[:2], f"results={tmp_path}/alone/results", f"runs={tmp_path}/alone/runs"]
+    for args, kills in ((alone, 0), (studies, 2)):
+        for kill in range(kills + 1):
+            process = context.Process(target=ablate, args=([*args, "study=tiny"],))
+            process.start()
+            if kill < kills:
+                root = Path(args[3].removeprefix("runs="))
+                written = 0
+                while process.is_alive() and written < 2 + 3 * kill:  # updates of all runs so far
+                    texts = [p.read_text() for p in root.glob("*/metrics.csv")]
+                    written = sum(max(0, text.count("\n") - 1) for text in texts)
+                    time.sleep(0.01)
+                assert process.is_alive()
+                process.kill()
+            process.join()
+        assert process.exitcode == 0
+    assert without_speed(tmp_path, "tiny") == without_speed(tmp_path / "alone", "tiny")
+
+
+def test_rows_that_are_the_same_are_refused(studies, tmp_path):
+    path = tmp_path / "own" / "study" / "tiny.yaml"
+    path.write_text(STUDY.replace("[symmetry=augmentation]", "[seed=0]"))
+    done = run("ablate", *studies, "study=tiny")
+    assert done.returncode != 0
+    assert "rows must differ, mirrored and none are the same" in done.stderr
