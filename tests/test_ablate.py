@@ -57,7 +57,7 @@ def test_a_study_marks_what_failed_and_runs_what_is_shared_once(studies, tmp_pat
     assert done.returncode == 0, done.stderr
     text = (tmp_path / "results" / "tiny.md").read_text()
     assert "| none |" in text
-    assert "| bad, seed 1 | failed: point must be a push point" in text
+    assert "| bad, seed 1 | failed: env.transforms.push: point must be" in text
     for ending in ("csv", "tex", "png", "pdf"):
         assert (tmp_path / "results" / f"tiny.{ending}").exists()
     files = set((tmp_path / "results" / "runs").glob("*.csv"))
