@@ -139,15 +139,21 @@ class MixtureOfGaussians(Distribution):
             middle = 0.5 * (low + high)
             highest = self.joint_log_prob(middle).argmax(0, keepdim=True)
             value = middle.gather(0, highest).squeeze(0)
+            # The search sees differences of density, which are flat at the top: two Newton steps.
+            reach = 0.01 * self._scale.amax(0)
+            for _ in range(2):
+                step = self._slope(value) / self._bend(value)
+                value = value - torch.maximum(torch.minimum(step, reach), -reach)
         slope = self._slope(value)
-        with torch.no_grad():
-            share = self._component_log_prob(value).softmax(0)
-            pull = (value - self._loc) / self._scale.square()
-            bend = (share * (pull.square() - self._scale.square().reciprocal())).sum(0)
-            # A flat top moves without bounds.
-            least = 0.1 / self._scale.amax(0).square()
-            bend = torch.minimum(bend - slope.square(), -least)
-        return value - (slope - slope.detach()) / bend
+        return value - (slope - slope.detach()) / self._bend(value).detach()
+
+    def _bend(self, value: Tensor) -> Tensor:
+        """Curvature of each joint's log density ``(*B, J)``, bounded away from 0 on flat tops."""
+        share = self._component_log_prob(value).softmax(0)
+        pull = (value - self._loc) / self._scale.square()
+        bend = (share * (pull.square() - self._scale.square().reciprocal())).sum(0)
+        least = 0.1 / self._scale.amax(0).square()  # else it would move without bounds
+        return torch.minimum(bend - self._slope(value).square(), -least)
 
     def _slope(self, value: Tensor) -> Tensor:
         """Slope of each joint's log density ``(*B, J)``."""

@@ -1,0 +1,56 @@
+"""Drives the robot with an exported policy: python docs/drive.py policy.onnx policy.json"""
+
+import json
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import onnxruntime
+
+policy = onnxruntime.InferenceSession(sys.argv[1])
+about = json.loads(Path(sys.argv[2]).read_text())
+seconds, push = 10.0, np.array([0.0, 20.0, 0.0])  # for 0.1 s after 3 s [N], on the torso
+model = mujoco.MjModel.from_xml_path(about.get("mjcf", "zfall/envs/assets/zeroth01.xml"))
+model.opt.timestep = about["physics_dt_s"]
+data, stand = mujoco.MjData(model), model.key("stand").id
+mujoco.mj_resetDataKeyframe(model, data, stand)
+joints = about["joints"]
+qpos = [int(model.joint(j).qposadr[0]) for j in joints]
+qvel = [int(model.joint(j).dofadr[0]) for j in joints]
+ctrl = [model.actuator(j).id for j in joints]
+target = np.array(about["reference_rad"], dtype=np.float32)
+memory = None if about["memory_shape"] is None else np.zeros(about["memory_shape"], np.float32)
+
+
+def read(name: str) -> np.ndarray:
+    """A quantity of the observation."""
+    feet = [data.sensor(f"feet_contact/{foot}").data for foot in ("left", "right")]
+    own = {
+        "projected_gravity": -data.xmat[1].reshape(3, 3)[2],
+        "base_linear_velocity": data.qvel[:3],
+        "base_angular_velocity": data.qvel[3:6],
+        "joint_position": data.qpos[qpos],
+        "joint_velocity": data.qvel[qvel],
+        "target": target,
+        "feet_force": -np.concatenate([foot[1:4] for foot in feet]),
+    }
+    return own[name] if name in own else data.sensor(name).data
+
+
+substeps = round(about["control_dt_s"] / about["physics_dt_s"])
+mujoco.mj_forward(model, data)
+for _ in range(round(seconds / about["control_dt_s"])):
+    observation = np.concatenate([read(part["name"]) for part in about["observation"]])
+    inputs = {"observation": observation[None].astype(np.float32)}
+    inputs |= {} if memory is None else {"memory": memory}
+    action, *rest = policy.run(None, inputs)
+    memory = rest[0] if rest else None
+    target = np.array(about["reference_rad"]) + about["scale_rad"] * action[0]
+    target = np.clip(target, about["low_rad"], about["high_rad"]).astype(np.float32)
+    data.ctrl[ctrl] = target
+    for _ in range(substeps):
+        data.body("Top_Brace").xfrc_applied[:3] = push * (3.0 <= data.time + 1e-9 < 3.1)
+        mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)  # what the policy sees belongs to the state it acts in
+print(f"after {seconds} s the base is {data.qpos[2]:.3f} m above the floor")

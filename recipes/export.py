@@ -1,0 +1,123 @@
+"""Writes a policy for a robot: ``python -m recipes.export run=best``.
+
+``policy.onnx`` takes ``observation`` (and ``memory``) and gives ``action`` (and ``next_memory``);
+``policy.json`` says what they mean. docs/drive.py runs both with onnxruntime and MuJoCo alone.
+"""
+
+import json
+import logging
+import warnings
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import TransformedEnv
+
+from recipes.one_line import check_keys, one_line_errors, start
+from recipes.tested import load_run
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.observations import ObservationVector
+from zfall.envs.transforms.observations.vector import vector_spans
+from zfall.evaluation.battery import battery_env
+from zfall.evaluation.definitions import load_battery
+from zfall.modules.deployed import deployed, zero_memory
+
+UNITS = {
+    "joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N m", "target": "rad",
+    "last_action": "1", "projected_gravity": "1, base axes", "base_orientation": "1, w x y z",
+    "base_angular_velocity": "rad/s, base axes", "base_linear_velocity": "m/s, world axes",
+    "base_position": "m", "com_velocity": "m/s, world axes", "feet_force": "N, world axes",
+    "feet_contact": "0 or 1", "mode": "0 or 1: recover, kneel, stable",
+}  # fmt: skip
+
+
+@hydra.main(version_base=None, config_path=".", config_name="export")
+def main(cfg: DictConfig) -> None:
+    """Writes ``policy.onnx`` and ``policy.json``."""
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with one_line_errors():
+        check_keys(cfg, {"run", "checkpoint", "change", "env"})
+        env_cfg, actor = load_run(cfg, cfg.run)
+        if actor is None:
+            raise ValueError(f"run must hold a policy, {cfg.run} is a baseline.")
+        env, _, _ = battery_env(load_battery("planar"), env_cfg, 1)
+        about = describe(env, actor, env_cfg)
+        export(actor, folder / "policy.onnx", size=about["observation_size"])
+    (folder / "policy.json").write_text(json.dumps(about, indent=2))
+    print(f"wrote {folder}/policy.onnx, policy.json")
+
+
+def export(actor: Any, path: Path, *, size: int) -> None:
+    """Writes the policy as ONNX, for one robot at a time.
+
+    Args:
+        actor: the policy.
+        path: file to write.
+        size: length of the observation.
+
+    Raises:
+        ValueError: without the packages that this needs.
+    """
+    module, memory = deployed(actor), zero_memory(actor)
+    inputs, names, out = [torch.zeros(1, size)], ["observation"], ["action"]
+    if memory is not None:
+        inputs, names, out = [*inputs, memory], [*names, "memory"], [*out, "next_memory"]
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            torch.onnx.export(
+                module,
+                tuple(inputs),
+                str(path),
+                input_names=names,
+                output_names=out,
+                external_data=False,
+                verbose=False,
+            )
+    except (ModuleNotFoundError, torch.onnx.errors.OnnxExporterError) as error:
+        if isinstance(error, ModuleNotFoundError) or "onnxscript" in str(error):
+            raise ValueError('exporting needs: .venv/bin/pip install -e ".[export]"') from None
+        raise
+
+
+def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, Any]:
+    """What a robot needs to know besides the network.
+
+    Raises:
+        ValueError: if the action is no position around a pose.
+    """
+    base = env.base_env
+    actions = [t for t in env.transform if isinstance(t, JointPositionTarget)]
+    vectors = [t for t in env.transform if isinstance(t, ObservationVector)]
+    own = [t for t in vectors if t.out_keys[0] == "observation"]
+    if not actions or not own:
+        raise ValueError("run must have position targets and an ObservationVector to be exported.")
+    spans = vector_spans(env.observation_spec, own[0].keys)
+    memory = zero_memory(actor)
+    low, high = base.joint_range.unbind(-1)
+    return {
+        "robot": base.robot.name,
+        "control_dt_s": base.control_dt,
+        "physics_dt_s": base.physics_dt,
+        "observation_size": int(env.observation_spec["observation"].shape[-1]),
+        "observation": [
+            {"name": str(key), "from": span.start, "to": span.stop, "unit": UNITS.get(key, "")}
+            for key, span in spans.items()
+        ],
+        "memory_shape": None if memory is None else list(memory.shape),
+        "joints": list(base.robot.joints),
+        "target": "clip(reference + scale * action, low, high)",
+        "scale_rad": float(actions[0].scale),
+        "reference_rad": base.stand_position.tolist(),
+        "low_rad": low.tolist(),
+        "high_rad": high.tolist(),
+        "config": OmegaConf.to_container(env_cfg, resolve=True),
+    }
+
+
+if __name__ == "__main__":
+    start(main)

@@ -1,0 +1,105 @@
+"""What is exported acts as what was trained, also through onnxruntime."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from recipes.export import export
+from tests.test_recipes import run
+from zfall.modules.actors import gru_actor, mlp_actor
+from zfall.modules.deployed import deployed, zero_memory
+
+SPEC = Composite(observation=Unbounded((1, 12)), shape=(1,))
+ACTION = Unbounded((1, 5))
+ROOT = Path(__file__).parents[2]
+KINDS = {
+    "gaussian": lambda: mlp_actor(SPEC, ACTION, num_cells=[16]),
+    "state_std": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], state_std=True),
+    "mixture_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, statistic="mode"),
+    "shared_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, shared_components=True, statistic="mode"),
+    "gru": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mean"),
+    "gru_mode": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mode"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_onnx_acts_as_the_actor_over_ten_seconds(kind, tmp_path):
+    """250 steps in which each feeds on its own memory; observations beyond the normaliser's clip."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    torch.manual_seed(0)
+    actor = KINDS[kind]()
+    for parameter in actor.parameters():  # far from the start, where all means are zero
+        parameter.data += 0.1 * torch.randn_like(parameter)
+    for module in actor.modules():
+        if hasattr(module, "variance"):
+            module.update(3.0 * torch.randn(500, 12) + 1.0)
+    export(actor, tmp_path / "policy.onnx", size=12)
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    memory = zero_memory(actor)
+    own = None if memory is None else memory.numpy()
+    td = TensorDict({"is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
+    if memory is not None:
+        td["recurrent_state_actor"] = memory
+    worst = 0.0
+    for _ in range(250):
+        td["observation"] = 10.0 * torch.randn(1, 12)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            out = actor(td.clone())
+        inputs = {"observation": td["observation"].numpy()}
+        inputs |= {} if own is None else {"memory": own}
+        action, *rest = session.run(None, inputs)
+        worst = max(worst, float(np.abs(action - out["action"].numpy()).max()))
+        if rest:
+            own, td["recurrent_state_actor"] = rest[0], out["next", "recurrent_state_actor"]
+        td["is_init"] = torch.zeros(1, 1, dtype=torch.bool)
+    assert worst < 1e-5
+    assert out["action"].abs().max() > 0.05
+    names = [value.name for value in session.get_inputs()]
+    assert names == (["observation"] if own is None else ["observation", "memory"])
+
+
+def test_plain_modules_need_no_tensordict():
+    actor = KINDS["gru"]()
+    action, memory = deployed(actor)(torch.zeros(1, 12), zero_memory(actor))
+    assert action.shape == (1, 5)
+    assert memory.shape == (1, 2, 8)
+
+
+def test_a_run_is_exported_and_drives_the_robot(tmp_path):
+    """An untrained policy holds about the reference pose: the script's robot stands on its own."""
+    pytest.importorskip("onnxruntime")
+    tiny = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
+    assert run("train", *tiny, f"hydra.run.dir={tmp_path}/run").returncode == 0
+    done = run("export", f"run={tmp_path}/run", f"hydra.run.dir={tmp_path}/out")
+    assert done.returncode == 0, done.stderr
+    about = json.loads((tmp_path / "out" / "policy.json").read_text())
+    assert about["control_dt_s"] == 0.04
+    assert len(about["joints"]) == len(about["reference_rad"]) == 20
+    assert about["observation"][0] == {
+        "name": "projected_gravity",
+        "from": 0,
+        "to": 3,
+        "unit": "1, base axes",
+    }
+    assert about["observation"][-1]["to"] == about["observation_size"]
+    command = [
+        sys.executable,
+        "docs/drive.py",
+        f"{tmp_path}/out/policy.onnx",
+        f"{tmp_path}/out/policy.json",
+    ]
+    drive = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert drive.stdout.startswith("after 10.0 s the base is 0.")
+
+
+def test_a_baseline_cannot_be_exported(tmp_path):
+    done = run("export", "run=pose_hold", f"hydra.run.dir={tmp_path}")
+    assert "run must hold a policy, pose_hold is a baseline" in done.stderr
