@@ -23,7 +23,10 @@ from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.envelope import run_envelope
 from zfall.evaluation.report import write_report
 
-OPTIONS = ("point", "duration", "directions", "impulses", "starts", "resolution")
+OPTIONS = (
+    *("point", "duration", "directions", "impulses", "starts", "force_starts", "resolution"),
+    "end_time",
+)
 KEYS = {
     "run",
     "runs",

@@ -87,7 +87,10 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         ValueError: if the folder holds no checkpoint, or one that does not fit.
     """
     if run in BASELINES:
-        return changed(cfg.env or compose("train", overrides=["num_envs=64"]).env, cfg.change), None
+        given = cfg.env or ("push_to_kneel" if cfg.get("battery") == "kneel" else "push_recovery")
+        if isinstance(given, str):
+            given = compose("train", overrides=[f"env={given}", "num_envs=64"]).env
+        return changed(given, cfg.change), None
     path = checkpoint_of(run, cfg.checkpoint)
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])

@@ -332,6 +332,13 @@ def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
         value = trials[key][3]
         shown = f"{value:.4g}" if isinstance(value, float) else str(value)
         assert f"{key}: {shown}" in done.stdout
+    folder = trained / "evaluation" / "planar"
+    traces = pd.read_csv(folder / "trial_3.csv")
+    assert len(traces) == 175  # 7 s
+    assert traces["target/left_knee_pitch"].iloc[0] != 0.0
+    assert (folder / "trial_3_left_hip_pitch.png").exists()
+    bad = run("evaluate", f"run={trained}", *SMALL, "trial=3", "joint=left_wing")
+    assert "joint must be one of right_hip_yaw" in bad.stderr
     bad = run("evaluate", f"run={trained}", *SMALL, "trial=999")
     assert bad.returncode != 0
     assert "trial must be one of 0 to 3, got 999" in bad.stderr
@@ -352,5 +359,95 @@ def test_envelope_of_a_run_beside_the_held_pose(trained):
     assert table["largest"].isin([0.0, 0.4, 0.8]).all()
     for name in ("trials.csv", "summary.json", "envelope.png", "envelope.pdf"):
         assert (folder / name).exists(), name
+    assert not (folder / "rounds").exists()
     bad = run("evaluate", f"runs=[{trained},pose_hold]", "battery=envelope")
     assert "runs needs a battery whose trials are the same" in bad.stderr
+
+
+def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypatch):
+    import recipes.evaluate as recipe
+
+    more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
+    args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4"]
+    folder = trained / "evaluation" / "envelope"
+    assert run("evaluate", *args).returncode == 0
+    whole = (folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()
+    real, labels = recipe.run_battery, []
+
+    def counted(*given, **known):
+        labels.append(len(labels))
+        if len(labels) == 3:
+            raise KeyboardInterrupt
+        return real(*given, **known)
+
+    monkeypatch.setattr(recipe, "run_battery", counted)
+    with pytest.raises(KeyboardInterrupt):
+        run("evaluate", *args)
+    assert len(list((folder / "rounds").glob("*.csv"))) == 2
+    assert run("evaluate", *args).returncode == 0
+    assert len(labels) == 3 + 6 - 2  # two policies, a control arm and two rounds each
+    assert ((folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()) == whole
+
+
+@pytest.mark.parametrize(
+    ("battery", "files"),
+    [
+        (["battery=spherical", "point=[torso,pelvis]", "impulses=[0.1]", "duration=[0.1,0.2]", "starts=1",
+          "end_time=3.0"], ["withstood.png", "withstood.pdf", "withstood.md"]),
+        (["battery=kneel", "impulses=[1.0]", "directions=2", "starts=1", "force_starts=1",
+          "end_time=1.5"], ["outcomes.md", "outcomes.csv"]),
+    ],
+)  # fmt: skip
+def test_other_batteries_write_their_files(trained, battery, files):
+    done = run("evaluate", f"run={trained}", *battery, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    folder = trained / "evaluation" / battery[0].removeprefix("battery=")
+    for name in ["trials.csv", "summary.json", *files]:
+        assert (folder / name).exists(), name
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["control_falls"] == 0
+    page = (trained / "report.html").read_text()
+    assert f"Battery {summary['battery']}" in page
+
+
+def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
+    done = run("evaluate", f"run={trained}", *SMALL, "change=[transforms.action.scale=0.3]")
+    assert done.returncode == 0, done.stderr
+    bad = run("evaluate", f"run={trained}", *SMALL, "change=[transforms.action.skale=0.3]")
+    assert "change must name a value of the env, there is no transforms.action.skale" in bad.stderr
+
+
+def test_two_policies_are_switched_by_the_mode(tmp_path):
+    common = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
+    keys = "env.transforms.observation.keys=[projected_gravity,joint_position,joint_velocity]"
+    for name, more in (("recover", ["experiment=push_to_kneel_recover", keys]),
+                       ("kneel", ["experiment=push_to_kneel_kneel", keys])):  # fmt: skip
+        done = run("train", *more, *common, f"hydra.run.dir={tmp_path}/{name}")
+        assert done.returncode == 0, done.stderr
+    both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
+    done = run("switch", *both, f"hydra.run.dir={tmp_path}/both")
+    assert done.returncode == 0, done.stderr
+    kneel = ["battery=kneel", "impulses=[1.0]", "directions=2", "starts=1", "force_starts=1"]
+    done = run(
+        "evaluate",
+        f"run={tmp_path}/both",
+        *kneel,
+        "end_time=1.5",
+        "change=[transforms.mode.angle=0.3]",
+    )
+    assert done.returncode == 0, done.stderr
+    other = run(
+        "train", "experiment=push_to_kneel_kneel", *common, f"hydra.run.dir={tmp_path}/other"
+    )
+    assert other.returncode == 0, other.stderr
+    bad = run("switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
+    assert "must have the same env.transforms.observation" in bad.stderr
+
+
+def test_a_scripted_kneel_needs_modes(tmp_path):
+    kneel = ["battery=kneel", "impulses=[1.0]", "directions=1", "starts=1", "force_starts=1"]
+    own = [*kneel, f"hydra.run.dir={tmp_path}"]
+    done = run("evaluate", "run=scripted_kneel", *own, "end_time=1.5")
+    assert done.returncode == 0, done.stderr
+    bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
+    assert "scripted_kneel needs an env with position targets and modes" in bad.stderr

@@ -47,7 +47,7 @@ def success_map(
     arc = 12  # straight pieces that make up the arc of a cell
     pieces = width * (np.arange(len(directions) * arc + 1) / arc - 0.5)
     angles = directions[0] + pieces
-    figure = Figure(figsize=(5.2, 5.6), layout="constrained")
+    figure = Figure(figsize=(5.0, 5.6), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
     mesh = axes.pcolormesh(
@@ -80,14 +80,15 @@ def success_map(
     axes.tick_params(axis="y", colors="white", labelsize=8)
     axes.set_title(title, fontsize=11)
     axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(-0.16, -0.2),
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.1),
+        ncols=2,
         fontsize=7,
         facecolor="0.45",
         labelcolor="white",
         framealpha=1,
     )
-    bar = figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1)
+    bar = figure.colorbar(mesh, ax=axes, shrink=0.6, pad=0.12)
     bar.set_label("share of trials recovered")
     _save(figure, path, lines)
 
@@ -159,7 +160,9 @@ def overlay(
     axes.set_ylim(0, None)
     axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])
     axes.set_title(title, fontsize=10)
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.2, -0.25), fontsize=7, title="mean I50")
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=7, title="mean I50"
+    )
     _save(figure, path, lines)
 
 

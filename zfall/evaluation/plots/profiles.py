@@ -25,7 +25,7 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
         title: above the plot.
     """
     figure = Figure(figsize=(3.5, 2.7), layout="constrained")
-    axes = figure.subplots()
+    axes, most = figure.subplots(), 0.0
     for (name, trials), (style, grey) in zip(runs.items(), itertools.cycle(LINES), strict=False):
         table = success_table(trials)
         sizes = table.columns.to_numpy()
@@ -34,6 +34,8 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
         share = performance_profile(i50, steps - 1e-6)  # at least, not more than
         label = f"{name}: IQM {interquartile_mean(i50):.2f}"
         axes.step(steps, share, style.strip("osD^"), where="pre", color=grey, label=label)
+        most = max(most, float(i50.max()))
+    axes.set_xlim(0.0, most + 0.2)
     axes.set_xlabel("impulse I", fontsize=8)
     axes.set_ylabel("share of directions with I50 >= I", fontsize=8)
     axes.tick_params(labelsize=7)
