@@ -12,7 +12,6 @@ from zfall.envs.robots import GRAVITY, Robot
 from zfall.envs.rotations import turn_to_heading
 from zfall.envs.stance import stance
 from zfall.envs.terms.kernels import rbf
-from zfall.envs.terms.support import distance_inside, support_hull
 
 _LEAST_LOAD = 0.1  # share of the weight: in flight the zero-moment point does not exist
 
@@ -94,18 +93,3 @@ def centered_zero_moment_point(
     """
     center = next_td["feet_position"][..., :2].mean(-2)
     return rbf(zero_moment_point(next_td, robot.mass), center, cutoff=cutoff, epsilon=epsilon)
-
-
-def capture_margin(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, limit: float
-) -> Tensor:
-    """How far the capture point lies inside the support polygon, ``clip(d / limit, -1, 1)``.
-
-    d is its distance from the border, negative outside: what a push may still add without a step
-    or, after one, what a step still lacks. A wide and low stance has more of it before any push.
-
-    Reads what ``instantaneous_capture_point`` and ``support_hull`` read; ``limit`` [m]. Returns
-    ``(*B, 1)``, -1 in flight.
-    """
-    depth = distance_inside(support_hull(next_td, robot), instantaneous_capture_point(next_td))
-    return (depth / limit).clamp(-1.0, 1.0).unsqueeze(-1)
