@@ -57,3 +57,10 @@ def test_page_is_self_contained_and_says_what_was_measured(folder):
 
 def test_what_stands_in_a_config_is_text(folder):
     assert "<script>alert" not in write_report(folder).read_text()
+
+
+def test_long_tables_are_folded(folder):
+    assert "rows</summary>" not in write_report(folder).read_text()
+    rows = pd.DataFrame({"largest": np.linspace(0, 1, 96)})
+    rows.to_csv(folder / "evaluation" / "planar" / "envelope.csv", index=False)
+    assert "<summary>96 rows</summary>" in write_report(folder).read_text()

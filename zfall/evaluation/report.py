@@ -25,6 +25,9 @@ CAPTIONS = {
 }
 
 
+LONG = 24  # rows of a table that are shown at once
+
+
 @dataclass
 class Section:
     """A part of the page: paragraphs, tables (html), figures, a video, listings behind a fold."""
@@ -44,7 +47,8 @@ def write_report(folder: Path) -> Path:
         The page, which holds everything it shows.
     """
     sections = [_training(folder)] if (folder / "metrics.csv").exists() else []
-    sections += [_battery(path.parent) for path in sorted(folder.glob("evaluation/*/summary.json"))]
+    batteries = [path.parent for path in folder.glob("evaluation/*/summary.json")]
+    sections += [_battery(path) for path in sorted(batteries, key=_planar_first)]
     if (folder / "comparison.csv").exists():
         sections.append(_comparison(folder))
     film = folder / "video.mp4"
@@ -64,6 +68,10 @@ def write_report(folder: Path) -> Path:
     path.with_suffix(".tmp").write_text(page)
     path.with_suffix(".tmp").replace(path)
     return path
+
+
+def _planar_first(battery: Path) -> tuple[bool, str]:
+    return not battery.name.startswith("planar"), battery.name
 
 
 def _training(folder: Path) -> Section:
@@ -143,7 +151,11 @@ def _reproduction(folder: Path) -> Section:
 
 
 def _html(rows: pd.DataFrame) -> str:
-    return str(rows.to_html(index=False, border=0, float_format=lambda x: f"{x:.3g}", na_rep="-"))
+    """A table; a long one behind a fold."""
+    table = rows.to_html(index=False, border=0, float_format=lambda x: f"{x:.3g}", na_rep="-")
+    if len(rows) <= LONG:
+        return str(table)
+    return f"<details><summary>{len(rows)} rows</summary>{table}</details>"
 
 
 def _figure(path: Path) -> dict[str, Any]:

@@ -199,6 +199,6 @@ def envelope_plot(
         axes.tick_params(axis="y", labelsize=7)
         axes.set_title(body, fontsize=9)
         shown = None if place == 1 else handles
-        axes.legend(handles=shown, loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=6)
+        axes.legend(handles=shown, loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=6)
     figure.suptitle(title, fontsize=10)
     _save(figure, path, lines)
