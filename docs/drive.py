@@ -33,6 +33,7 @@ def read(name: str) -> np.ndarray:
         "joint_position": data.qpos[qpos],
         "joint_velocity": data.qvel[qvel],
         "target": target,
+        "feet_contact": np.array([foot[0] > 0 for foot in feet]),
         "feet_force": -np.concatenate([foot[1:4] for foot in feet]),
     }
     return own[name] if name in own else data.sensor(name).data

@@ -21,6 +21,7 @@ from recipes.tested import load_run
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationVector
 from zfall.envs.transforms.observations.vector import vector_spans
+from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import battery_env
 from zfall.evaluation.definitions import load_battery
 from zfall.modules.deployed import deployed, zero_memory
@@ -96,6 +97,10 @@ def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, 
     own = [t for t in vectors if t.out_keys[0] == "observation"]
     if not actions or not own:
         raise ValueError("run must have position targets and an ObservationVector to be exported.")
+    known = (JointPositionTarget, ScriptedPush)
+    others = [type(t).__name__ for t in env.transform if t.in_keys_inv and not isinstance(t, known)]
+    if others:
+        raise ValueError(f"run must have no {others[0]} to be exported: it is not described.")
     spans = vector_spans(env.observation_spec, own[0].keys)
     memory = zero_memory(actor)
     low, high = base.joint_range.unbind(-1)

@@ -71,7 +71,8 @@ def write_results(
         written += _table(folder, "outcomes", rows)
         console.print(markdown(rows), markup=False, soft_wrap=True)
         peaks = ("base_acceleration", "torso_head_force")
-        means = ", ".join(f"{p} {summary[f'falls_peak_{p}_mean']:.3g}" for p in peaks)
+        values = {peak: summary[f"falls_peak_{peak}_mean"] for peak in peaks}
+        means = ", ".join(f"{k} {v:.3g}" for k, v in values.items() if v is not None)
         console.print(f"mean peaks over {summary['falls']} falls: {means}")
     else:
         lines = references(robot, battery.durations[0])
@@ -161,7 +162,7 @@ def kneel_table(summary: dict[str, Any]) -> pd.DataFrame:
     for label, entries in (("force [N]", summary["listed"]), ("I", summary["by_impulse"])):
         for push, entry in entries.items():
             row = {"push": f"{label} {push}", "n": entry["n"]}
-            for key in ("recovered", "kneeled", "clean"):
+            for key in ("recovered", "kneeled", "clean", "untouched"):
                 row[key] = _percent(*(entry[f"{key}{end}"] for end in ("", "_low", "_high")))
             rows.append(row)
     return pd.DataFrame(rows)

@@ -49,6 +49,9 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
             raise ValueError(
                 f"recover and kneel must have the same env.transforms.{name}, got {one} and {two}."
             )
+    rates = [c.env.base_env.control_dt for c in (recover, kneel)]
+    if rates[0] != rates[1]:
+        raise ValueError(f"recover and kneel must have the same control_dt, got {rates}.")
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
     env_cfg.base_env = kneel.env.base_env
     for name in (*SAME, "mode"):

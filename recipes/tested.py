@@ -87,14 +87,16 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         ValueError: if the folder holds no checkpoint, or one that does not fit.
     """
     if run in BASELINES:
-        given = cfg.env or ("push_to_kneel" if cfg.get("battery") == "kneel" else "push_recovery")
+        given = cfg.get("env") or (
+            "push_to_kneel" if cfg.get("battery") == "kneel" else "push_recovery"
+        )
         if isinstance(given, str):
             given = compose("train", overrides=[f"env={given}", "num_envs=64"]).env
-        return changed(given, cfg.change), None
+        return changed(given, cfg.get("change", [])), None
     path = checkpoint_of(run, cfg.checkpoint)
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])
-    env_cfg = changed(run_cfg.env, cfg.change)
+    env_cfg = changed(run_cfg.env, cfg.get("change", []))
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
     checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
@@ -130,7 +132,11 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
         key = change.partition("=")[0]
         if OmegaConf.select(env_cfg, key, default="missing") == "missing":
             raise ValueError(f"change must name a value of the env, there is no {key}.")
-    return DictConfig(OmegaConf.merge(env_cfg, OmegaConf.from_dotlist(list(changes))))
+    new = env_cfg.copy()  # keeps what it refers to outside of itself
+    for change in changes:
+        key = change.partition("=")[0]
+        OmegaConf.update(new, key, OmegaConf.select(OmegaConf.from_dotlist([change]), key))
+    return new
 
 
 def _shipped(name: str) -> Path:

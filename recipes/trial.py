@@ -35,7 +35,8 @@ def show_trial(
         joint = _joint(rows, cfg.joint)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[Path(each.name).name] = rows.rename(columns=renamed)
-        push = (battery.push_time, battery.push_time + row["duration_s"])
+        if battery.interval is None:
+            push = (battery.push_time, battery.push_time + row["duration_s"])
     for ending in ("png", "pdf"):
         path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
         trace_plot(traces, path, joint=joint, push=push)

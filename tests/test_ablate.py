@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from hydra import compose, initialize_config_module
+from hydra.utils import instantiate
 
+from recipes.ablate import plan
 from tests.test_recipes import run
 
 STUDY = """
@@ -78,7 +81,9 @@ def test_a_study_killed_and_started_again_gives_the_same_table(studies, tmp_path
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["recipes.ablate"])
     alone = [*studies[:2], f"results={tmp_path}/alone/results", f"runs={tmp_path}/alone/runs"]
-    for args, kills in ((alone, 0), (studies, 2)):
+    path = tmp_path / "own" / "study" / "tiny.yaml"
+    path.write_text(STUDY.replace("seeds: [0, 1]", "seeds: [0]"))
+    for args, kills in ((alone, 0), (studies, 1)):
         for kill in range(kills + 1):
             process = context.Process(target=ablate, args=([*args, "study=tiny"],))
             process.start()
@@ -102,3 +107,14 @@ def test_rows_that_are_the_same_are_refused(studies, tmp_path):
     done = run("ablate", *studies, "study=tiny")
     assert done.returncode != 0
     assert "rows must differ, mirrored and none are the same" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "name", sorted(p.stem for p in (Path(__file__).parents[1] / "recipes" / "study").glob("*.yaml"))
+)
+def test_every_row_of_the_studies_that_ship_can_be_built(name):
+    with initialize_config_module("recipes", version_base=None):
+        study = compose("ablate", overrides=[f"study={name}"]).study
+        for planned in {one.row: one for one in plan(study)}.values():
+            env = instantiate(planned.cfg.env, base_env={"num_envs": 2})
+            assert env.reset()["observation"].shape[0] == 2

@@ -278,7 +278,8 @@ def test_an_evaluation_keeps_on_what_it_is_told_to(compose_config):
 def test_an_evaluation_of_nothing_says_what_there_is(given):
     done = run("evaluate", *given)
     assert done.returncode == 1
-    assert "run must be a run folder, or pose_hold or limp" in done.stderr
+    assert "run must be a run folder, or" in done.stderr
+    assert "pose_hold" in done.stderr
 
 
 def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, monkeypatch):
@@ -368,7 +369,7 @@ def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypat
     import recipes.evaluate as recipe
 
     more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
-    args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4"]
+    args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=4.0"]
     folder = trained / "evaluation" / "envelope"
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()
@@ -411,18 +412,18 @@ def test_other_batteries_write_their_files(trained, battery, files):
 
 
 def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
-    done = run("evaluate", f"run={trained}", *SMALL, "change=[transforms.action.scale=0.3]")
+    done = run("evaluate", f"run={trained}", *SMALL, 'change=["transforms.action.scale=0.3"]')
     assert done.returncode == 0, done.stderr
-    bad = run("evaluate", f"run={trained}", *SMALL, "change=[transforms.action.skale=0.3]")
+    bad = run("evaluate", f"run={trained}", *SMALL, 'change=["transforms.action.skale=0.3"]')
     assert "change must name a value of the env, there is no transforms.action.skale" in bad.stderr
 
 
 def test_two_policies_are_switched_by_the_mode(tmp_path):
     common = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
-    keys = "env.transforms.observation.keys=[projected_gravity,joint_position,joint_velocity]"
-    for name, more in (("recover", ["experiment=push_to_kneel_recover", keys]),
-                       ("kneel", ["experiment=push_to_kneel_kneel", keys])):  # fmt: skip
-        done = run("train", *more, *common, f"hydra.run.dir={tmp_path}/{name}")
+    for name in ("recover", "kneel"):
+        done = run(
+            "train", f"experiment=push_to_kneel_{name}", *common, f"hydra.run.dir={tmp_path}/{name}"
+        )
         assert done.returncode == 0, done.stderr
     both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
     done = run("switch", *both, f"hydra.run.dir={tmp_path}/both")
@@ -433,12 +434,12 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
         f"run={tmp_path}/both",
         *kneel,
         "end_time=1.5",
-        "change=[transforms.mode.angle=0.3]",
+        'change=["transforms.mode.angle=0.3"]',
     )
     assert done.returncode == 0, done.stderr
-    other = run(
-        "train", "experiment=push_to_kneel_kneel", *common, f"hydra.run.dir={tmp_path}/other"
-    )
+    keys = "env.transforms.observation.keys=[projected_gravity,joint_position,joint_velocity]"
+    own = [keys, *common, f"hydra.run.dir={tmp_path}/other"]
+    other = run("train", "experiment=push_to_kneel_kneel", *own)
     assert other.returncode == 0, other.stderr
     bad = run("switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
     assert "must have the same env.transforms.observation" in bad.stderr

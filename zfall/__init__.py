@@ -11,6 +11,7 @@ TASKS = (
     "icub_balance",
     "push_recovery",
     "push_recovery_realistic",
+    "push_to_kneel",
     "zeroth_fall",
 )  # the tables of recipes/env that gymnasium knows by name
 

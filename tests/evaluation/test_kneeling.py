@@ -116,6 +116,7 @@ def test_summary_by_hand():
     assert entry["recovered"] == pytest.approx(2 / 6)
     assert entry["kneeled"] == pytest.approx(3 / 4)
     assert entry["clean"] == pytest.approx(2 / 3)
+    assert entry["untouched"] == pytest.approx(2 / 4)
     assert entry["kneeled_low"] < 0.75 < entry["kneeled_high"]
     assert summary["listed"]["(20, 0)"]["recovered"] == 1.0
     assert summary["listed"]["(20, 0)"]["kneeled"] is None  # nothing fell

@@ -23,9 +23,8 @@ ROOT = Path(__file__).parents[2]
 KINDS = {
     "gaussian": lambda: mlp_actor(SPEC, ACTION, num_cells=[16]),
     "state_std": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], state_std=True),
-    "mixture_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, statistic="mode"),
+    "mixture_mean": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, statistic="mean"),
     "shared_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, shared_components=True, statistic="mode"),
-    "gru": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mean"),
     "gru_mode": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mode"),
 }  # fmt: skip
 
@@ -67,7 +66,7 @@ def test_onnx_acts_as_the_actor_over_ten_seconds(kind, tmp_path):
 
 
 def test_plain_modules_need_no_tensordict():
-    actor = KINDS["gru"]()
+    actor = KINDS["gru_mode"]()
     action, memory = deployed(actor)(torch.zeros(1, 12), zero_memory(actor))
     assert action.shape == (1, 5)
     assert memory.shape == (1, 2, 8)
@@ -97,7 +96,8 @@ def test_a_run_is_exported_and_drives_the_robot(tmp_path):
         f"{tmp_path}/out/policy.json",
     ]
     drive = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert drive.stdout.startswith("after 10.0 s the base is 0.")
+    height = float(drive.stdout.split(" m above")[0].split()[-1])
+    assert height > 0.05  # pushed by 20 N it may fall, not through the floor
 
 
 def test_a_baseline_cannot_be_exported(tmp_path):

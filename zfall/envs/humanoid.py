@@ -76,9 +76,9 @@ class HumanoidEnv(EnvBase):
     ======================== ========= ==============================================
 
     ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
-    its TensorDict say, NAME being one of ``START_KEYS``. Without ``("start", "base_position")``
-    the lowest corner of the soles is put on the floor, or ``("start", "clearance")`` ``(N, 1)``
-    [m] above it.
+    its TensorDict say, NAME being one of ``START_KEYS``. Without ``("start", "base_position")``,
+    or where it is not a number, the lowest corner of the soles is put on the floor, or
+    ``("start", "clearance")`` ``(N, 1)`` [m] above it.
 
     After ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
 
@@ -313,10 +313,15 @@ class HumanoidEnv(EnvBase):
             state, columns = places[key]
             state[:, columns] = start[key][rows].double()
         control = self.stand_position.double()[self._to_actuators].repeat(count, 1)
-        if start and "base_position" not in start:
-            qpos[:, 2] -= self._clearance(qpos)
+        floor = torch.full((count,), bool(start))  # rows that are put on it
+        if "base_position" in start:
+            floor = qpos[:, 0].isnan()
+            qpos[floor, :3] = self._stand[:3]
+        if floor.any():
+            lift = -self._clearance(qpos)
             if "clearance" in start:
-                qpos[:, 2] += start["clearance"][rows, 0]
+                lift += start["clearance"][rows, 0]
+            qpos[:, 2] += torch.where(floor, lift, 0.0)
         return self.simulation.reset(rows, qpos, qvel, control)
 
     def _clearance(self, qpos: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ FIGURES = {
     "i50_min": ("least I50", 2),
     "success": ("success", 3),
     "target_smoothness": ("smoothness [mrad]", 2),
-    "joint_torque_rms": ("torque [N m]", 2),
+    "joint_torque_rms": ("torque, smallest push [N m]", 2),
     "control_falls": ("falls without a push", 1),
     "frames_per_s": ("frames/s", 0),
 }
@@ -36,7 +36,10 @@ class Cell:
     @property
     def distinct(self) -> bool:
         """Whether the interval of the difference excludes zero."""
-        return self.difference is not None and not self.difference[1] <= 0 <= self.difference[2]
+        if self.difference is None:
+            return False
+        _, low, high = self.difference
+        return low > 0 or high < 0
 
 
 def study_table(runs: Mapping[str, pd.DataFrame]) -> dict[str, dict[str, Cell]]:

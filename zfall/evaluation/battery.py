@@ -202,8 +202,8 @@ def withstood(time: Tensor, outcomes: Outcomes) -> NDArray[np.int64]:
         outcomes: of at least K worlds.
     """
     fell = outcomes.fell[: len(time)]
-    end = outcomes.fall_time[: len(time)].nan_to_num(outcomes.battery.end_time)
-    begun = (time < end[:, None] - 1e-6).sum(1)
+    end = outcomes.fall_time[: len(time)].double().nan_to_num(outcomes.battery.end_time)
+    begun = (time < end[:, None] - 1e-3).sum(1)  # a step is longer, rounding shorter
     return (begun - fell.long()).clamp_min(0).numpy()
 
 

@@ -106,6 +106,9 @@ def load_battery(name: str, **options: Any) -> Battery:
     for key in ("directions", "starts"):
         if numbers[key] < 1:
             raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
+    several = [key for key in ("duration", "point") if isinstance(numbers[key], tuple)]
+    if several and resolution is None and numbers["interval"] is None:
+        raise ValueError(f"{several[0]} of battery {name} must be one, got {numbers[several[0]]}.")
     battery = Battery(version=version, name=name, **numbers)
     if min(battery.durations, default=0.0) <= 0:
         raise ValueError(f"duration must be positive, got {numbers['duration']}.")

@@ -84,14 +84,14 @@ class Kneeling:
 def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
     """Figures of battery ``kneel``: by impulse of the grid, and by force of the list.
 
-    Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` (share of
-    the kneels without contact of torso or head), each with ``_low`` and ``_high``, its Wilson 95 %
-    interval; ``null`` if there is nothing to count.
+    Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` and
+    ``untouched`` (without contact of torso or head: of the kneels, of all not recovered), each
+    with ``_low`` and ``_high``, its Wilson 95 % interval; ``null`` if there is nothing to count.
     """
     pushed = trials[trials["impulse"] > 0]
     grid, listed = pushed[~pushed["listed"]], pushed[pushed["listed"]]
     fallen = pushed[~pushed["recovered"]]
-    torso_head = np.maximum(fallen["peak_contact_force/torso"], fallen["peak_contact_force/head"])
+    torso_head = fallen[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
     return {
         "by_impulse": {f"{size:g}": _outcomes(group) for size, group in grid.groupby("impulse")},
         "by_direction": {
@@ -103,12 +103,22 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
             for _, group in listed.groupby(["impulse", "direction_rad"], sort=False)
         },
         "falls": len(fallen),
-        "falls_peak_base_acceleration_mean": float(fallen["peak_base_acceleration"].mean()),
-        "falls_peak_torso_head_force_mean": float(torso_head.mean()),
-        "falls_impact_energy_mean": float(fallen["impact_energy"].mean()),
-        "falls_joint_torque_peak_mean": float(fallen["joint_torque_peak"].mean()),
-        "kneel_time_s_mean": float(fallen["kneel_time_s"].mean()),
+        "falls_peak_base_acceleration_mean": _mean(fallen["peak_base_acceleration"]),
+        "falls_peak_torso_head_force_mean": _mean(torso_head),
+        "falls_impact_energy_mean": _mean(fallen["impact_energy"]),
+        "falls_joint_torque_peak_mean": _mean(fallen["joint_torque_peak"]),
+        "kneel_time_s_mean": _mean(fallen["kneel_time_s"]),
     }
+
+
+def _mean(values: pd.Series) -> float | None:
+    """Mean of those that are numbers, if any is."""
+    mean = float(values.mean())
+    return None if np.isnan(mean) else mean
+
+
+def _torso_or_head(trials: pd.DataFrame) -> pd.Series:
+    return (trials["peak_contact_force/torso"] > 0) | (trials["peak_contact_force/head"] > 0)
 
 
 def _force_name(group: pd.DataFrame) -> str:
@@ -120,11 +130,12 @@ def _force_name(group: pd.DataFrame) -> str:
 def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
     fallen = trials[~trials["recovered"]]
     kneels = fallen[fallen["kneeled"]]
-    touched = (kneels["peak_contact_force/torso"] > 0) | (kneels["peak_contact_force/head"] > 0)
+    touched = _torso_or_head(kneels)
     counts = {
         "recovered": (int(trials["recovered"].sum()), len(trials)),
         "kneeled": (len(kneels), len(fallen)),
         "clean": (int((~touched).sum()), len(kneels)),
+        "untouched": (int((~_torso_or_head(fallen)).sum()), len(fallen)),
     }
     out: dict[str, Any] = {"n": len(trials)}
     for name, (successes, count) in counts.items():

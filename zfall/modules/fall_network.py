@@ -60,7 +60,7 @@ def load_fall_network(path: str | None = None) -> FallNetwork:
     Raises:
         ValueError: if there is none.
     """
-    shipped = Path(__file__).parents[1] / "policies" / "fall_network.pt"
+    shipped = Path(__file__).parents[1] / "envs" / "assets" / "zeroth01_fall_network.pt"
     content = checkpoint.load(shipped if path is None else Path(path))
     if "fall_network" not in content:
         raise ValueError(f"path must be a file of recipes.trigger, {path} is of another kind.")

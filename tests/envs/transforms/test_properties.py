@@ -89,12 +89,6 @@ TABLE = {  # in the order of a yaml
     "power": {"_target_": f"{_WINDOWS}.JointPower"},
     "air_time": {"_target_": f"{_WINDOWS}.FeetAirTime"},
     "effort": {"_target_": f"{_WINDOWS}.JointEffort"},
-    "predictor": {
-        "_target_": "zfall.envs.transforms.modes.FallPredictor",
-        "network": {"_target_": "zfall.modules.fall_network.FallNetwork", "size": 6},
-        "keys": IMU,
-    },
-    "mode": {"_target_": "zfall.envs.transforms.modes.ModeMachine", "hold": 0.08, "back": 0.08},
     "fall": {
         "_target_": "zfall.envs.transforms.terminations.Terminations",
         "conditions": {
@@ -126,6 +120,12 @@ TABLE = {  # in the order of a yaml
         "probability": 0.2,
         "keys": ["joint_position"],
     },
+    "predictor": {
+        "_target_": "zfall.envs.transforms.modes.FallPredictor",
+        "network": {"_target_": "zfall.modules.fall_network.FallNetwork", "size": 6},
+        "keys": IMU,
+    },
+    "mode": {"_target_": "zfall.envs.transforms.modes.ModeMachine", "hold": 0.08, "back": 0.08},
     "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
     "angles": {"_target_": f"{_SENSING}.TiltAngles"},
     "speed": {"_target_": f"{_ESTIMATION}.JointVelocityKalmanFilter"},

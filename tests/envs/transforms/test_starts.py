@@ -13,6 +13,7 @@ from zfall.envs.motions import load_motions
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import rotate_inverse, tilt
 from zfall.envs.terms.falls import body_contact
+from zfall.envs.terms.support import sole_corners
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import FallingStart, NoisyStart, ReferenceStart, ScriptedStart
 
@@ -226,7 +227,7 @@ def test_falls_begin_as_recorded_and_the_others_stand(make_task):
     env = make_task({**ACTION, "start": noisy, "falling": falling}, num_envs=400)
     env.set_seed(0)
     td = env.reset()
-    fallen = tilt(td["base_orientation"]) > 0.25
+    fallen = td["base_linear_velocity"].norm(dim=-1) > 0
     assert 0.6 < fallen.float().mean() < 0.8
     with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as bank:
         recorded = torch.from_numpy(bank["joint_velocity"])
@@ -237,9 +238,8 @@ def test_falls_begin_as_recorded_and_the_others_stand(make_task):
         compute_mode="donot_use_mm_for_euclid_dist",
     ).amin(1)
     assert distance.max() < 1e-4
-    standing = td["base_position"][~fallen]
-    assert (standing[:, 2] - 0.332).abs().max() < 1e-3
-    assert (td["base_linear_velocity"][~fallen] == 0).all()
+    corners = sole_corners(td[~fallen], ZEROTH01)[..., 2].flatten(1).amin(1)
+    assert corners.abs().max() < 1e-3  # the others stand on the floor, whatever their noise
 
 
 def test_a_missing_bank_of_falls_is_refused(make_base):

@@ -214,9 +214,13 @@ class FallPredictor(Transform):
         network: a module with ``hidden_size`` that takes measurements ``(N, D)`` and a memory
             ``(N, H)`` and returns a probability ``(N, 1)`` and the next memory.
         keys: what it was trained with, in order.
+
+    Raises:
+        ValueError: at the first step, if the network was trained with other quantities.
     """
 
     memory: Tensor
+    measured = True  # sensing must come before it
 
     def __init__(self, env: HumanoidEnv, *, network: Any, keys: Sequence[str]):
         super().__init__(in_keys=list(keys), out_keys=["fall_probability"])
@@ -225,8 +229,14 @@ class FallPredictor(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         values = [read_measured(next_tensordict, key).flatten(1) for key in self.in_keys]
+        measured, size = torch.cat(values, -1), len(self.network.normalizer.mean)
+        if measured.shape[1] != size:
+            raise ValueError(
+                f"keys must be what the network was trained with, {size} numbers, got "
+                f"{measured.shape[1]}."
+            )
         with torch.no_grad():
-            probability, self.memory = self.network(torch.cat(values, -1), self.memory)
+            probability, self.memory = self.network(measured, self.memory)
         return next_tensordict.set("fall_probability", probability)
 
     def _reset(

@@ -211,7 +211,11 @@ class FallingStart(Transform):
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
-        self.stand = {"base_position": base[:3], "base_orientation": base[3:7]}
+        self.stand = {  # of the other worlds, whose soles are put on the floor
+            "base_position": torch.full((3,), torch.nan),
+            "base_orientation": base[3:7],
+            "joint_position": env.stand_position,
+        }
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
