@@ -17,6 +17,7 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
+from zfall.envs.model import identity_of
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.evaluation.definitions import load_battery
@@ -227,7 +228,7 @@ class Learner:
         """What a checkpoint holds."""
         return {
             "config": OmegaConf.to_yaml(self.cfg, resolve=True),
-            "robot": self.env.base_env.robot.name,
+            "robot": identity_of(self.env.base_env.robot),
             "actor": self.actor.state_dict(),
             "policy": self.policy.state_dict(),
             "averaged": int(self._average.n_averaged),

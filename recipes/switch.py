@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import checkpoint_of
 from zfall import checkpoint
+from zfall.envs.model import identity_of
 from zfall.modules.switched import SwitchedActor
 
 SAME = ("action", "observation")  # what both must have been trained with
@@ -62,7 +63,7 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     actors = []
     for name, part in parts.items():
         actor = instantiate(configs[name].actor, spec, action_spec)
-        checkpoint.check_fits(part, env.base_env.robot.name, actor, Path(cfg[name]))
+        checkpoint.check_fits(part, identity_of(env.base_env.robot), actor, Path(cfg[name]))
         actor.load_state_dict(part["policy"])
         actors.append(actor)
     state = SwitchedActor(*actors).state_dict()

@@ -15,6 +15,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from zfall import checkpoint
+from zfall.envs.model import identity_of
 from zfall.envs.robots import ZEROTH01, Robot
 from zfall.evaluation.definitions import Battery
 
@@ -99,7 +100,7 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
     env_cfg = changed(run_cfg.env, cfg.get("change", []))
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
-    checkpoint.check_fits(content, env.base_env.robot.name, actor, path)
+    checkpoint.check_fits(content, identity_of(env.base_env.robot), actor, path)
     actor.load_state_dict(content["policy"])
     return env_cfg, actor
 

@@ -21,6 +21,7 @@ from recipes.learner import Learner, batch_metrics
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import show
 from zfall import checkpoint
+from zfall.envs.model import identity_of
 
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
@@ -61,7 +62,8 @@ def main(cfg: DictConfig) -> None:
         untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
         run = RunFolder(folder)
         if state is not None:
-            checkpoint.check_fits(state, learner.env.base_env.robot.name, learner.actor, folder)
+            robot = identity_of(learner.env.base_env.robot)
+            checkpoint.check_fits(state, robot, learner.actor, folder)
             learner.load_state_dict(state)
             run.load_state_dict(state["run"])
     console = Console()

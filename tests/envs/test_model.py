@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from zfall.envs.model import compile_model, push_targets
+from zfall.envs.model import compile_model, identity_of, push_targets
 from zfall.envs.robots import ZEROTH01, PushPoint
 
 
@@ -122,3 +122,12 @@ def test_a_push_point_at_a_site_lies_where_the_site_lies():
 def test_push_points_that_are_nowhere_are_refused(point, message):
     with pytest.raises(ValueError, match=message):
         compile_model(ZEROTH01, physics_dt=0.004, push_points={"x": point})
+
+
+def test_identity_follows_the_physics_and_not_the_comments(tmp_path):
+    mine = identity_of(ZEROTH01)
+    assert identity_of(edited(tmp_path, "<worldbody>", "<worldbody><!-- here -->")) == mine
+    (tmp_path / "slower").mkdir()
+    slower = identity_of(edited(tmp_path / "slower", 'damping="1.3464', 'damping="1.4464'))
+    assert slower != mine
+    assert slower.startswith("zeroth01 ")

@@ -1,6 +1,8 @@
 """From a robot's MJCF to the compiled model that an env steps."""
 
+import hashlib
 from dataclasses import dataclass
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -177,3 +179,23 @@ def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
 def name_in_region(sensor: str, region: str) -> bool:
     """Whether a contact sensor belongs to a region: ``contact_force_peak/REGION[/PART]``."""
     return sensor.split("/")[:2] == ["contact_force_peak", region]
+
+
+FIELDS = (  # what makes a robot move as it does
+    *("body_mass", "body_inertia", "body_pos", "body_quat", "body_ipos", "body_iquat"),
+    *("jnt_axis", "jnt_range", "dof_damping", "dof_armature", "dof_frictionloss"),
+    *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_trnid"),
+    *("geom_type", "geom_size", "geom_pos", "geom_friction", "geom_priority"),
+)
+
+
+def identity_of(robot: Robot) -> str:
+    """Name of a robot and a digest of its compiled physics: comments and poses may change."""
+    return _identity(robot.name, robot.mjcf)
+
+
+@cache
+def _identity(name: str, mjcf: str) -> str:
+    model = mujoco.MjModel.from_xml_path(mjcf)
+    values = b"".join(np.round(getattr(model, field), 6).tobytes() for field in FIELDS)
+    return f"{name} {hashlib.sha256(values).hexdigest()[:8]}"
