@@ -52,7 +52,7 @@ def test_missing_file_rubbish_and_old_formats_are_refused(tmp_path):
     with pytest.raises(ValueError, match="cannot read it"):
         checkpoint.load(tmp_path / "rubbish.pt")
     torch.save({"format": 0}, tmp_path / "old.pt")
-    with pytest.raises(ValueError, match="must be a checkpoint of format 6, got 0"):
+    with pytest.raises(ValueError, match="must be a checkpoint of format 7, got 0"):
         checkpoint.load(tmp_path / "old.pt")
 
 
