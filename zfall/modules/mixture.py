@@ -131,7 +131,7 @@ class MixtureOfGaussians(Distribution):
             peak = (inner >= height[:-2]) & (inner >= height[2:]) & (rises | falls)
             best = torch.where(peak, inner, -torch.inf).topk(2 * len(self._loc), 0).indices
             low, high = (nodes.gather(0, best + side) for side in (0, 2))
-            for _ in range(24):
+            for _ in range(16):
                 width = _GOLDEN * (high - low)
                 left, right = high - width, low + width
                 down = self.joint_log_prob(left) > self.joint_log_prob(right)
