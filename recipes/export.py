@@ -66,7 +66,8 @@ def export(actor: Any, path: Path, *, size: int) -> None:
     inputs, names, out = [torch.zeros(1, size)], ["observation"], ["action"]
     if memory is not None:
         inputs, names, out = [*inputs, memory], [*names, "memory"], [*out, "next_memory"]
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    for name in ("torch.onnx", "onnxscript", "onnx_ir"):
+        logging.getLogger(name).setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

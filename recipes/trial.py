@@ -35,7 +35,7 @@ def show_trial(
         joint = _joint(rows, cfg.joint)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[Path(each.name).name] = rows.rename(columns=renamed)
-        if battery.interval is None:
+        if battery.interval is None and row["impulse"] > 0:
             push = (battery.push_time, battery.push_time + row["duration_s"])
     for ending in ("png", "pdf"):
         path = folder / f"trial_{cfg.trial}_{joint}.{ending}"

@@ -139,6 +139,13 @@ def _reproduction(folder: Path) -> Section:
             line.removeprefix("- ") for line in overrides.read_text().splitlines() if line != "[]"
         )
         out.notes.append(f"python -m recipes.train {given}")
+    if (folder / "comparison.csv").exists():
+        summaries = json.loads((folder / "summary.json").read_text())
+        out.notes.append(
+            f"python -m recipes.evaluate 'runs=[{','.join(summaries)}]' battery={folder.name}"
+        )
+        given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)
+        out.listings.append({"title": "definition of the battery", "body": given})
     for name in ("config.yaml", "overrides.yaml"):
         path = folder / ".hydra" / name
         if path.exists():

@@ -22,7 +22,7 @@ def trace_plot(
             [N m] of the joint.
         path: file to write; its ending gives the format.
         joint: its name.
-        push: when it begins and ends [s].
+        push: when it begins and ends [s]; twice the same if there is none.
     """
     figure = Figure(figsize=(3.5, 3.8), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
@@ -36,7 +36,8 @@ def trace_plot(
         axes.set_ylabel(label, fontsize=8)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
-    panels[0].set_title(f"{joint}; the push is shaded", fontsize=8)
+    title = f"{joint}; the push is shaded" if push[1] > push[0] else f"{joint}; no push"
+    panels[0].set_title(title, fontsize=8)
     panels[0].legend(fontsize=7)
     panels[-1].set_xlabel("time [s]", fontsize=8)
     figure.savefig(path, dpi=300)
