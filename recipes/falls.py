@@ -18,7 +18,7 @@ from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import load_run
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.terms.falls import body_contact
-from zfall.evaluation.battery import battery_env, play, start_positions
+from zfall.evaluation.battery import arrange, battery_env, play, robot_of
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
 
 TIMES = (0.12, 0.16)  # [s]
@@ -40,18 +40,13 @@ def main(cfg: DictConfig) -> None:
         end_time=2.5,
         directions=24,
     )
-    unit = 1.0
-    trials = plan_trials(battery, unit, cfg.seed)
+    trials = plan_trials(battery, robot_of(env_cfg).impulse_unit, cfg.seed)
     trials = trials[trials["impulse"] > 0].reset_index(drop=True)
     env, begin, push = battery_env(battery, env_cfg, 64 * -(-len(trials) // 64))
     base = env.base_env
-    trials["force_n"] = trials["impulse"] * base.robot.impulse_unit / trials["duration_s"]
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
-    begin.states["joint_position"] = start_positions(battery, trials.iloc[rows], base)
     pushes = plan_pushes(battery, trials)[rows]
-    for buffer, value in ((push.plan, pushes.force), (push.index, pushes.point)):
-        buffer[:, :1] = value
-    push.time[:, 1:] = torch.inf
+    arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     moments, fell = [], torch.zeros(base.num_envs, dtype=torch.bool)
     steps = round(battery.end_time / base.control_dt)
     for step, td in enumerate(play(env, actor, steps), 1):

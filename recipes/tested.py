@@ -16,7 +16,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall import checkpoint
 from zfall.envs.model import identity_of
-from zfall.envs.robots import ZEROTH01, Robot
+from zfall.envs.robots import Robot
+from zfall.evaluation.battery import robot_of
 from zfall.evaluation.definitions import Battery
 
 BASELINES = ("pose_hold", "limp", "scripted_kneel")
@@ -55,8 +56,7 @@ class Tested:
     @property
     def robot(self) -> Robot:
         """The robot of its env."""
-        robot = self.env_cfg.base_env.get("robot")
-        return ZEROTH01 if robot is None else instantiate(robot)
+        return robot_of(self.env_cfg)
 
     @property
     def servos(self) -> bool:

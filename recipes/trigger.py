@@ -25,7 +25,7 @@ from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.modes import KNEEL, ModeRule, in_danger, modes_over
 from zfall.envs.transforms.observations.measured import read_measured
-from zfall.evaluation.battery import battery_env, play, start_positions
+from zfall.evaluation.battery import arrange, battery_env, play, robot_of
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
 from zfall.evaluation.plots import reliability_plot, trigger_plot
 from zfall.modules.fall_network import FallNetwork, save_fall_network
@@ -117,14 +117,13 @@ def record(
         push_time=0.52,
         end_time=3.0,
     )
-    trials = plan_trials(battery, 1.0, cfg.seed)
+    trials = plan_trials(battery, robot_of(env_cfg).impulse_unit, cfg.seed)
     env, begin, push = battery_env(battery, env_cfg, 64 * -(-len(trials) // 64))
     base = env.base_env
     env.set_seed(cfg.seed)
-    trials["force_n"] = trials["impulse"] * base.robot.impulse_unit / trials["duration_s"]
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
-    begin.states["joint_position"] = start_positions(battery, trials.iloc[rows], base)
-    push.plan[:, :1] = plan_pushes(battery, trials)[rows].force
+    pushes = plan_pushes(battery, trials)[rows]
+    arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     steps: list[list[Tensor]] = []
     live = torch.ones(base.num_envs, dtype=torch.bool)
     for td in play(env, actor, round(battery.end_time / base.control_dt)):

@@ -3,11 +3,13 @@
 import importlib
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
@@ -59,6 +61,16 @@ def trained(tmp_path_factory) -> Path:
     assert done.returncode == 0, done.stderr
     assert "pose_hold" in done.stdout
     return folder
+
+
+def test_runs_started_together_have_folders_of_their_own():
+    """A shell starts several within one second; in one folder they would overwrite each other."""
+    texts = [recipe.read_text() for recipe in (ROOT / "recipes").glob("*.yaml")]
+    formats = [item for text in texts for item in re.findall(r"\$\{now:([^}]*)\}", text)]
+    assert len(formats) >= 8
+    one = datetime(2026, 1, 1, 12)
+    for item in formats:
+        assert one.strftime(item) != (one + timedelta(milliseconds=1)).strftime(item)
 
 
 def test_training_leaves_the_files_of_a_run(trained):

@@ -2,7 +2,9 @@
 
 import pytest
 import torch
+from hydra.utils import instantiate
 from tensordict import TensorDict
+from torchrl.envs import ExplorationType, set_exploration_type
 
 from zfall.modules.switched import SwitchedActor, switched_actor
 
@@ -17,8 +19,6 @@ def specs(env):
 
 @pytest.fixture
 def env(compose_config):
-    from hydra.utils import instantiate
-
     return instantiate(compose_config("experiment=push_to_kneel", "num_envs=3").env)
 
 
@@ -27,8 +27,6 @@ def test_the_mode_chooses_world_by_world(env):
     actor = switched_actor(*specs(env), recover=MLP, kneel=MLP)
     td = TensorDict({"observation": torch.randn(3, env.observation_spec["observation"].shape[-1]),
                      "mode": torch.eye(3)}, batch_size=[3])  # fmt: skip
-    from torchrl.envs import ExplorationType, set_exploration_type
-
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         out = actor(td.clone())["action"]
         one, two = (part(td.clone())["action"] for part in (actor.recover, actor.kneel))

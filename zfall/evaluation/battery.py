@@ -16,11 +16,12 @@ from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
+from zfall.envs.robots import ZEROTH01, Robot
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.actions import JointPositionTarget, JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.definitions import Battery, plan_pushes, plan_trials
+from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials
 from zfall.evaluation.metrics import Outcomes
 from zfall.modules.actors import recurrent_keys
 
@@ -96,6 +97,41 @@ def battery_env(
     return env, start, push
 
 
+def arrange(
+    battery: Battery,
+    trials: pd.DataFrame,
+    pushes: Pushes,
+    env: HumanoidEnv,
+    start: ScriptedStart,
+    push: ScriptedPush,
+) -> None:
+    """Gives every world the start and the pushes of its trial, in its next episode.
+
+    Args:
+        battery: the definition.
+        trials: one for each world.
+        pushes: theirs.
+        env: the base env.
+        start, push: of ``battery_env``.
+    """
+    start.states["joint_position"] = start_positions(battery, trials, env)
+    events = pushes.time.shape[1]
+    for buffer, value in (
+        (push.time, pushes.time),
+        (push.plan, pushes.force),
+        (push.duration, pushes.duration),
+        (push.index, pushes.point),
+    ):
+        buffer[:, :events] = value
+    push.time[:, events:] = torch.inf
+
+
+def robot_of(cfg: DictConfig) -> Robot:
+    """The robot of the config of an env."""
+    robot = cfg.base_env.get("robot")
+    return ZEROTH01 if robot is None else instantiate(robot)
+
+
 def run_battery(
     battery: Battery,
     cfg: DictConfig,
@@ -133,14 +169,13 @@ def run_battery(
         keep: is given what is finished so far after every chunk of trials.
         watch: is given the base env and what followed each control step.
     """
-    unit = instantiate(cfg.base_env, num_envs=1, _convert_="all").robot.impulse_unit
-    trials = plan_trials(battery, unit, seed) if plan is None else plan.copy()
+    unit = robot_of(cfg).impulse_unit
+    trials = plan_trials(battery, unit, seed) if plan is None else plan.reset_index(drop=True)
     trials["force_n"] = trials["impulse"] * unit / trials["duration_s"]
     pushes = plan_pushes(battery, trials)
     count = len(trials) if only is None else len(only)
     worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
-    events = pushes.time.shape[1]
-    env, start, push = battery_env(battery, cfg, worlds, servos=servos, pushes=events)
+    env, start, push = battery_env(battery, cfg, worlds, servos=servos, pushes=pushes.time.shape[1])
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     base = env.base_env
@@ -158,18 +193,9 @@ def run_battery(
     for index, chunk in enumerate(chunks):
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
-        start.states["joint_position"] = start_positions(battery, padded, base)
+        arrange(battery, padded, pushes[padded.index.to_numpy()], base, start, push)
         drawn_by = np.random.SeedSequence([seed, int(chunk["trial"].iloc[0])])
         env.set_seed(int(drawn_by.generate_state(1)[0]))  # of noise and delays that are kept on
-        planned = pushes[padded.index.to_numpy()]
-        for buffer, value in (
-            (push.time, planned.time),
-            (push.plan, planned.force),
-            (push.duration, planned.duration),
-            (push.index, planned.point),
-        ):
-            buffer[:, :events] = value
-        push.time[:, events:] = torch.inf
         params = trial_parameters(battery, padded, base)
         if params:
             base.set_physics_params(TensorDict(params, batch_size=[worlds]))

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import tilt
-from zfall.envs.terms import kneel
+from zfall.envs.terms import bind, kneel
 
 R = len(ZEROTH01.regions)
 
@@ -66,13 +66,13 @@ def test_a_term_counts_in_its_mode_alone():
         return torch.ones(3, 1)
 
     td = TensorDict({"mode": torch.eye(3)}, batch_size=[3])
-    value = kneel.in_mode(td, td, robot=ZEROTH01, mode=1, term=partial(one))
+    value = kneel.in_mode(td, td, mode=1, term=one)
     assert value[:, 0].tolist() == [0.0, 1.0, 0.0]
     touched = partial(kneel.region_contact_ends, names=["hand"])
     hands = TensorDict(
         {"mode": torch.eye(3), "contact_force_peak": torch.ones(3, R)}, batch_size=[3]
     )
-    ends = kneel.in_mode(hands, hands, robot=ZEROTH01, mode=1, term=touched)
+    ends = bind(partial(kneel.in_mode, mode=1, term=touched), robot=ZEROTH01)(hands, hands)
     assert ends.dtype == torch.bool
     assert ends[:, 0].tolist() == [False, True, False]
 

@@ -14,9 +14,14 @@ from torch import Tensor
 
 
 def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
-    """The term with those of ``known`` that it asks for by name and was not given."""
+    """The term with those of ``known`` that it asks for by name and was not given.
+
+    A term that was given another one as ``term`` has that one bound, too.
+    """
     if isinstance(term, partial):  # hydra's own kind costs half a millisecond a call
         term = partial(term.func, *term.args, **term.keywords)
     given = term.keywords if isinstance(term, partial) else {}
+    if "term" in given:
+        term = partial(term, term=bind(given["term"], **known))
     asked = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
     return partial(term, **{name: known[name] for name in asked}) if asked else term

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from zfall.envs.robots import GRAVITY, Robot
 from zfall.envs.rotations import tilt
-from zfall.envs.terms import bind
 
 
 def regions_named(robot: Robot, *names: str) -> list[int]:
@@ -54,7 +53,6 @@ def in_mode(
     td: TensorDictBase,
     next_td: TensorDictBase,
     *,
-    robot: Robot,
     mode: int,
     term: Callable[..., Tensor],
 ) -> Tensor:
@@ -62,7 +60,7 @@ def in_mode(
 
     Reads ``mode`` ``(*B, 3)``, of before the step, and what the term reads. Returns ``(*B, 1)``.
     """
-    value = bind(term, robot=robot)(td, next_td)
+    value = term(td, next_td)
     return torch.where(td["mode"][..., mode : mode + 1] > 0, value, torch.zeros_like(value))
 
 
