@@ -200,15 +200,16 @@ def run_battery(
         if params:
             base.set_physics_params(TensorDict(params, batch_size=[worlds]))
         outcomes = Outcomes(base, battery)
-        base.simulation.step_only(None)
+        padding = torch.arange(worlds) >= len(chunk)
+        base.simulation.step_only(~padding)
         for step, td in enumerate(play(env, actor, steps, kneel=kneel)):
             outcomes.update(td)
             watch(base, td)
             progress(index * steps + step + 1, len(chunks) * steps)
-            if outcomes.settled.all():
+            known = outcomes.settled | padding
+            if known.all():
                 break
-            if outcomes.settled.any():
-                base.simulation.step_only(~outcomes.settled)
+            base.simulation.step_only(~known)
         table = outcomes.table().iloc[: len(chunk)]
         if battery.interval is not None:
             table["withstood"] = withstood(pushes[chunk.index.to_numpy()].time, outcomes)
