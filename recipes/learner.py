@@ -1,7 +1,6 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
 import inspect
-from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -22,6 +21,7 @@ from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.evaluation.definitions import load_battery
 from zfall.losses.advantage import RecurrentGAE
+from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
 
@@ -256,50 +256,3 @@ class Learner:
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]
-
-
-def burnt_in(batch: TensorDictBase, networks: Iterable[Any], steps: int) -> TensorDictBase:
-    """Sequences ``(N, T, ...)`` without their first steps, which only refresh the memory.
-
-    The memory that was stored is that of weights that have changed since; what these networks
-    remember after ``steps`` of the sequence, beginning with it, is closer to theirs.
-    """
-    first, rest = batch[:, :steps], batch[:, steps:].copy()
-    begins = rest["is_init"][:, 0]
-    for network in networks:
-        for key in recurrent_keys(network):
-            with torch.no_grad(), set_recurrent_mode(True):
-                after = network(first.select(*network.in_keys))["next", key][:, -1]
-            memory = rest[key].clone()
-            memory[:, 0] = torch.where(begins[..., None], memory[:, 0], after)
-            rest[key] = memory
-    return rest
-
-
-def batch_metrics(
-    batch: TensorDictBase, carrier: TensorDictBase, control_dt: float
-) -> dict[str, float]:
-    """Means over a batch, by the names of ``metrics.csv``.
-
-    Args:
-        batch: of an update.
-        carrier: what the worlds are in after it: physical parameters, level of the curriculum.
-        control_dt: time between two actions [s].
-    """
-    after = batch["next"]
-    ended = after["done"]
-    metrics = {
-        "reward": after["reward"].mean().item(),
-        "episodes": int(ended.sum()),
-        "falls": int(after["terminated"].sum()),
-        "diverged": int(after["diverged"].sum()),
-    }
-    if ended.any():  # else the columns keep the last value known
-        metrics["episode_return"] = after["episode_reward"][ended].mean().item()
-        metrics["episode_seconds"] = after["step_count"][ended].float().mean().item() * control_dt
-    metrics |= {f"reward/{k}": v.mean().item() for k, v in after["reward_terms"].items()}
-    metrics |= {f"termination/{k}": int(v.sum()) for k, v in after["terminations"].items()}
-    if "curriculum_level" in carrier.keys():
-        metrics["curriculum/level"] = carrier["curriculum_level"].mean().item()
-    metrics |= {f"params/{k}": v.mean().item() for k, v in carrier.get("params", {}).items()}
-    return metrics

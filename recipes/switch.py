@@ -14,12 +14,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.tested import checkpoint_of
+from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 from zfall.modules.switched import SwitchedActor
-
-SAME = ("action", "observation")  # what both must have been trained with
 
 
 @hydra.main(version_base=None, config_path=".", config_name="switch")
@@ -43,19 +41,11 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     parts = {name: checkpoint.load(checkpoint_of(cfg[name], cfg.checkpoint)) for name in
              ("recover", "kneel")}  # fmt: skip
     configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
-    recover, kneel = configs["recover"], configs["kneel"]
-    for name in SAME:
-        one, two = (OmegaConf.to_container(c.env.transforms[name]) for c in (recover, kneel))
-        if one != two:
-            raise ValueError(
-                f"recover and kneel must have the same env.transforms.{name}, got {one} and {two}."
-            )
-    rates = [c.env.base_env.control_dt for c in (recover, kneel)]
-    if rates[0] != rates[1]:
-        raise ValueError(f"recover and kneel must have the same control_dt, got {rates}.")
+    kneel = configs["kneel"]
+    check_same_interface(configs)
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
     env_cfg.base_env = kneel.env.base_env
-    for name in (*SAME, "mode"):
+    for name in (*INTERFACE, "mode"):
         env_cfg.transforms[name] = kneel.env.transforms[name]
     env_cfg.transforms.mode.initial = "recover"
     env = instantiate(env_cfg, base_env={"num_envs": 1})

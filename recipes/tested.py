@@ -105,6 +105,23 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
     return env_cfg, actor
 
 
+INTERFACE = ("action", "observation")  # transforms by which a policy acts and sees
+
+
+def check_same_interface(configs: dict[str, DictConfig]) -> None:
+    """Refuses policies, by name the config of each, that do not see or do the same.
+
+    Raises:
+        ValueError: naming what differs.
+    """
+    names = " and ".join(configs)
+    for key in (*(f"transforms.{name}" for name in INTERFACE), "base_env.control_dt"):
+        values = [OmegaConf.select(cfg.env, key) for cfg in configs.values()]
+        if any(value != values[0] for value in values):
+            found = " and ".join(map(str, values))
+            raise ValueError(f"{names} must have the same env.{key}, got {found}.")
+
+
 def checkpoint_of(run: str, name: str = "last") -> Path:
     """The file of a run folder's policy, or of one that ships.
 

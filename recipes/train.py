@@ -17,15 +17,27 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torchrl.record import TensorboardLogger
 
-from recipes.learner import Learner, batch_metrics
+from recipes.learner import Learner
+from recipes.metrics import batch_metrics
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.showcase import show
+from recipes.warm_start import warm_start
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
-    *("max_grad_norm", "averaging", "resume", "checkpoint_every", "env", "actor", "critic", "loss"),
+    *(
+        "max_grad_norm",
+        "averaging",
+        "resume",
+        "warm_start",
+        "checkpoint_every",
+        "env",
+        "actor",
+        "critic",
+        "loss",
+    ),
     *(
         "optimizer",
         "scheduler",
@@ -59,6 +71,8 @@ def main(cfg: DictConfig) -> None:
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
             shutil.rmtree(HydraConfig.get().runtime.output_dir)  # hydra's, of no use here
         learner = Learner(cfg)
+        if state is None and cfg.warm_start is not None:
+            warm_start(learner, cfg.warm_start)
         untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
         run = RunFolder(folder)
         if state is not None:
@@ -85,6 +99,8 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         state = checkpoint.load(folder / "checkpoints" / "last.pt")
         learner.load_state_dict(state)
         run.load_state_dict(state["run"])
+    elif cfg.warm_start is not None:
+        warm_start(learner, cfg.warm_start)
     return train(learner, run, console)
 
 

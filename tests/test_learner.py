@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 
-from recipes.learner import Learner, burnt_in
+from recipes.learner import Learner
 from zfall.modules.actors import normalizer_of
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
@@ -243,31 +243,6 @@ def test_a_shared_normaliser_counts_every_observation_once(compose_config):
     for _ in range(2):
         learner.learn(learner.collect())
     assert normalizer_of(learner.critic).count == 2 * 12
-
-
-def test_burn_in_starts_from_the_memory_of_the_present_weights(compose_config):
-    """After the weights have moved: what a replay of the whole sequence has from step 3 on."""
-    sizes = ("num_envs=6", "rollout_steps=8", "actor=gru_mog", "critic=gru")
-    learner = Learner(compose_config(*sizes, "env.transforms.limit.seconds=0.2"))
-    learner.collect()
-    batch = learner.collect().select(*learner._learned)
-    with torch.no_grad():
-        for parameter in learner.parameters:
-            parameter.add_(0.05 * torch.randn_like(parameter))
-    rest = burnt_in(batch, [learner.actor, learner.critic], 3)
-    assert rest.shape == (6, 5)
-    for network, out in ((learner.actor, "loc"), (learner.critic, "state_value")):
-        with torch.no_grad(), set_recurrent_mode(True):
-            if out == "loc":
-                whole, part = (network.get_dist(td.clone()).mean for td in (batch, rest))
-                stale = network.get_dist(batch[:, 3:].clone()).mean
-            else:
-                whole, part = (network(td.clone())[out] for td in (batch, rest))
-                stale = network(batch[:, 3:].clone())[out]
-        assert_close(part, whole[:, 3:], atol=1e-5, rtol=1e-5)
-        assert (stale - whole[:, 3:]).abs().max() > 1e-4
-    unmoved = batch[:, 3:]
-    assert torch.equal(rest["action"], unmoved["action"])
 
 
 def test_passes_end_when_the_policy_has_moved_far_enough(compose_config):

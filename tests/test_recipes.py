@@ -130,7 +130,14 @@ REALISTIC = "env=push_recovery_realistic"  # all transforms at once
 RECURRENT = "actor=gru_mog critic=gru loss=icub"  # state of a critic, and of a penalty
 
 
-@pytest.mark.parametrize("part", [RECURRENT, REALISTIC])
+# A predictor with a memory, and a machine that counts: some worlds begin to kneel.
+KNEELING = (
+    "experiment=push_to_kneel env.transforms.mode.probability=0.5 env.transforms.mode.hold=0.08 "
+    "env.transforms.push.size=[1.0,2.0]"
+)
+
+
+@pytest.mark.parametrize("part", [RECURRENT, REALISTIC, KNEELING])
 def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -143,6 +150,8 @@ def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     assert done.returncode == 0, done.stderr
     metrics = pd.read_csv(whole / "metrics.csv")
     assert metrics["episodes"].sum() > 0
+    if part == KNEELING:
+        assert metrics["reward/com_lowering"].iloc[-1] > 0
     if part == REALISTIC:  # what was drawn and how hard the task is are logged
         assert metrics["params/foot_friction"].between(0.5, 1.5).all()
         assert metrics["curriculum/level"].iloc[-1] > 0

@@ -17,7 +17,7 @@ from zfall.envs.humanoid import HumanoidEnv
 
 def make_env(
     base_env: EnvBase | Mapping[str, Any],
-    transforms: Mapping[str, Transform | Mapping[str, Any]],
+    transforms: Mapping[str, Transform | Mapping[str, Any] | None],
     *,
     training_only: Mapping[str, bool] | Collection[str] = (),
     training: bool = True,
@@ -33,7 +33,7 @@ def make_env(
         transforms: by name, transforms or their configs. A class whose first parameter is named
             ``env`` is given the base env; one with a method ``attach`` is called with the table
             of all that were built. A config may say ``before: NAME``, to stand there and not
-            where it was written: at the end, if the shell added it.
+            where it was written: at the end, if the shell added it. ``None`` is left out.
         training_only: names of transforms that evaluation leaves out: pushes, noise, delays,
             randomisation; or a table ``name: true``.
         training: whether to keep them.
@@ -50,7 +50,7 @@ def make_env(
             f"got {', '.join(unknown)}; a transform taken out of the table leaves this list too."
         )
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
-    ordered = _in_place(transforms)
+    ordered = _in_place({k: v for k, v in transforms.items() if v is not None})
     used = {k: v for k, v in ordered.items() if training or k not in training_only}
     built = {name: build_transform(transform, env) for name, transform in used.items()}
     for transform in built.values():

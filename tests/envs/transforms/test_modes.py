@@ -109,6 +109,26 @@ def test_a_kneel_that_rests_for_half_a_second_is_stable_and_stays(make_base):
     assert modes[23:] == [STABLE] * 31
 
 
+def test_bounds_of_rest_can_be_wide_for_who_explores(make_base):
+    """A knee down, the base creeping and one joint moving: rest within wide bounds alone."""
+    env = make_base(num_envs=1)
+    wide = {"rest_speed": 0.5, "rest_joint_speed": 3.1}
+    for names, end in (
+        ((), KNEEL),
+        (["rest_joint_speed"], KNEEL),
+        (["rest_speed"], KNEEL),
+        (wide, STABLE),
+    ):
+        given = {name: wide[name] for name in names}
+        machine = ModeMachine(env, initial="kneel", **given)
+        td = machine._reset(TensorDict(batch_size=[1]), TensorDict(batch_size=[1]))
+        for _ in range(13):
+            after = step([0.2], [0.4], [True], env)
+            after["joint_velocity"][:, 7] = -3.0
+            td = machine._step(td, after)
+        assert td["mode"].argmax(-1).tolist() == [end]
+
+
 def test_the_way_back_must_be_asked_for(make_base):
     up = ([0.1], [0.0], [False])
     for back, end in ((None, KNEEL), (0.2, RECOVER)):

@@ -31,18 +31,20 @@ def resting_kneel(
     robot: Robot,
     angle: float = 0.6,
     speed: float = 0.1,
+    joint_speed: float = 0.1,
 ) -> Tensor:
     """Whether the robot rests on a knee or shin, its torso and head off the floor and upright.
 
-    It rests if base and joints are slower than ``speed`` [m/s and rad/s], and is upright if it
-    leans by less than ``angle`` [rad]. A stable kneel is half a second of this.
+    It rests if the base is slower than ``speed`` [m/s and rad/s] and all joints are slower than
+    ``joint_speed`` [rad/s], and is upright if it leans by less than ``angle`` [rad]. A stable kneel
+    is half a second of this.
 
     Reads ``contact_force_peak`` [N], ``base_orientation``, ``base_linear_velocity`` [m/s],
     ``base_angular_velocity`` and ``joint_velocity`` [rad/s]. Returns ``(*B, 1)`` bool.
     """
     slow = next_td["base_linear_velocity"].norm(dim=-1) < speed
     slow &= next_td["base_angular_velocity"].norm(dim=-1) < speed
-    slow &= next_td["joint_velocity"].abs().amax(-1) < speed
+    slow &= next_td["joint_velocity"].abs().amax(-1) < joint_speed
     upright = tilt(next_td["base_orientation"]) < angle
     down = touching(next_td, robot, "knee", "shin")
     off = ~touching(next_td, robot, "torso", "head")

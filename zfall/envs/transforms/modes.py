@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -94,8 +95,10 @@ class ModeMachine(Transform):
     """Goes from RECOVER to KNEEL when a fall is near, and to STABLE when the robot rests.
 
     Danger is a tilt above ``angle`` or an angular velocity above ``angular_velocity`` or, with a
-    ``FallPredictor`` before it and a ``probability``, a predicted fall. Rest is ``resting_kneel``.
-    Standing, the way back, is no danger and no contact but the feet's.
+    ``FallPredictor`` before it and a ``probability``, a predicted fall. Rest is ``resting_kneel``;
+    a policy that explores never has its joints at rest, so that training needs wide bounds, and
+    ``StableHold`` then stops them. Standing, the way back, is no danger and no contact but the
+    feet's.
 
     Keys: reads what these do, writes ``mode`` ``(N, 3)``, one of them 1: recover, kneel, stable.
 
@@ -105,6 +108,8 @@ class ModeMachine(Transform):
         angular_velocity: of the base, its norm [rad/s].
         hold: time for which danger must last [s]; at least one step.
         rest: time of rest that makes a kneel stable [s].
+        rest_speed: of the base at rest, at most [m/s and rad/s].
+        rest_joint_speed: of every joint at rest, at most [rad/s].
         back: time of standing after which it recovers again [s], or no way back.
         probability: of ``fall_probability`` above which there is danger, instead of the bounds.
         initial: mode at the beginning of an episode.
@@ -127,6 +132,8 @@ class ModeMachine(Transform):
         angular_velocity: float = 2.0,
         hold: float = 0.2,
         rest: float = 0.5,
+        rest_speed: float = 0.1,
+        rest_joint_speed: float = 0.1,
         back: float | None = None,
         probability: float | None = None,
         initial: str = "recover",
@@ -138,12 +145,16 @@ class ModeMachine(Transform):
             raise ValueError(f"probability must lie in (0, 1), got {probability}.")
         times = {"hold": hold, "rest": rest} | ({} if back is None else {"back": back})
         bounds = {"angle": angle, "angular_velocity": angular_velocity}
-        for name, value in (bounds | times).items():
+        rests = {"rest_speed": rest_speed, "rest_joint_speed": rest_joint_speed}
+        for name, value in (bounds | times | rests).items():
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}.")
         steps = {name: max(1, round(time / env.control_dt)) for name, time in times.items()}
         self.rule = ModeRule(**steps)
-        self.bounds, self.probability, self.robot = bounds, probability, env.robot
+        self.bounds, self.probability = bounds, probability
+        self._resting = partial(
+            resting_kneel, robot=env.robot, speed=rest_speed, joint_speed=rest_joint_speed
+        )
         self.initial = MODES.index(initial)
         for name in ("ahead", "behind"):
             self.register_buffer(name, torch.zeros(env.num_envs, dtype=torch.long))
@@ -156,7 +167,7 @@ class ModeMachine(Transform):
         calm = ~danger & ~body_contact(tensordict, next_tensordict).squeeze(-1)
         if self.probability is not None:
             danger = next_tensordict["fall_probability"].squeeze(-1) > self.probability
-        resting = resting_kneel(tensordict, next_tensordict, robot=self.robot).squeeze(-1)
+        resting = self._resting(tensordict, next_tensordict).squeeze(-1)
         mode, self.ahead, self.behind = self.rule.advance(state, danger, resting, calm)
         return next_tensordict.set("mode", one_hot(mode))
 

@@ -1,0 +1,32 @@
+"""What is written down about a batch."""
+
+from tensordict import TensorDictBase
+
+
+def batch_metrics(
+    batch: TensorDictBase, carrier: TensorDictBase, control_dt: float
+) -> dict[str, float]:
+    """Means over a batch, by the names of ``metrics.csv``.
+
+    Args:
+        batch: of an update.
+        carrier: what the worlds are in after it: physical parameters, level of the curriculum.
+        control_dt: time between two actions [s].
+    """
+    after = batch["next"]
+    ended = after["done"]
+    metrics = {
+        "reward": after["reward"].mean().item(),
+        "episodes": int(ended.sum()),
+        "falls": int(after["terminated"].sum()),
+        "diverged": int(after["diverged"].sum()),
+    }
+    if ended.any():  # else the columns keep the last value known
+        metrics["episode_return"] = after["episode_reward"][ended].mean().item()
+        metrics["episode_seconds"] = after["step_count"][ended].float().mean().item() * control_dt
+    metrics |= {f"reward/{k}": v.mean().item() for k, v in after["reward_terms"].items()}
+    metrics |= {f"termination/{k}": int(v.sum()) for k, v in after["terminations"].items()}
+    if "curriculum_level" in carrier.keys():
+        metrics["curriculum/level"] = carrier["curriculum_level"].mean().item()
+    metrics |= {f"params/{k}": v.mean().item() for k, v in carrier.get("params", {}).items()}
+    return metrics

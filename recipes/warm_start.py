@@ -1,0 +1,36 @@
+"""Begins a training with the weights of a policy that was trained before."""
+
+from omegaconf import OmegaConf
+
+from recipes.learner import Learner
+from recipes.tested import check_same_interface, checkpoint_of
+from zfall import checkpoint
+from zfall.envs.model import identity_of
+
+
+def warm_start(learner: Learner, run: str) -> None:
+    """Gives the actor, and the critic if it is of the same shape, the weights of a run.
+
+    The deviation of a plain Gaussian that does not depend on the state stays as configured, so
+    that the policy explores anew.
+
+    Args:
+        learner: before its first update.
+        run: a run folder, or the name of a policy that ships.
+
+    Raises:
+        ValueError: if there is no such run, or its policy sees or does something else.
+    """
+    path = checkpoint_of(run)
+    content = checkpoint.load(path)
+    theirs = OmegaConf.create(content["config"])
+    check_same_interface({run: theirs, "this run": learner.cfg})
+    robot = identity_of(learner.env.base_env.robot)
+    checkpoint.check_fits(content, robot, learner.actor, path)
+    weights = {k: v for k, v in content["policy"].items() if not k.endswith("log_std")}
+    for module in (learner.actor, learner.policy):
+        module.load_state_dict(weights, strict=False)
+    critic = content.get("critic", {})
+    mine = learner.critic.state_dict()
+    if {k: v.shape for k, v in critic.items()} == {k: v.shape for k, v in mine.items()}:
+        learner.critic.load_state_dict(critic)

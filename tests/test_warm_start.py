@@ -1,0 +1,57 @@
+"""A training begins with the weights of another."""
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from torch.testing import assert_close
+
+from recipes.learner import Learner
+from recipes.tested import load_run
+from recipes.warm_start import warm_start
+from zfall import checkpoint
+
+
+@pytest.fixture
+def trained(compose_config, tmp_path):
+    """Content of the checkpoint of a run, and its folder."""
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=2"))
+    learner.learn(learner.collect())
+    folder = tmp_path / "run"
+    (folder / "checkpoints").mkdir(parents=True)
+    checkpoint.save(folder / "checkpoints" / "last.pt", learner.state_dict())
+    return folder
+
+
+def test_the_policy_acts_as_that_run_and_explores_as_configured(trained, compose_config):
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=2", "actor.std=0.17", "seed=5"))
+    warm_start(learner, str(trained))
+    _, theirs = load_run(OmegaConf.create({"checkpoint": "last"}), str(trained))
+    td = learner.env.fake_tensordict().select("observation")
+    td["observation"] = torch.randn(td["observation"].shape)
+    for actor in (learner.actor, learner.policy):
+        mine, other = actor.get_dist(td.clone()), theirs.get_dist(td.clone())
+        assert_close(mine.mean, other.mean, atol=0, rtol=0)
+        assert_close(mine.stddev, torch.full_like(mine.stddev, 0.17))
+    saved = checkpoint.load(trained / "checkpoints" / "last.pt")["critic"]
+    assert all(torch.equal(saved[k], v) for k, v in learner.critic.state_dict().items())
+
+
+def test_a_critic_of_another_shape_begins_anew(trained, compose_config):
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=2", "critic.num_cells=[32]"))
+    before = [p.clone() for p in learner.critic.parameters()]
+    warm_start(learner, str(trained))
+    assert all(map(torch.equal, before, learner.critic.parameters()))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("env.transforms.action.scale=0.5", r"must have the same env.transforms.action, got .*0\.6.* and .*0\.5"),
+        ("env.base_env.control_dt=0.02", "must have the same env.base_env.control_dt, got 0.04 and 0.02"),
+        ("actor.num_cells=[32]", "must hold the configured actor"),
+    ],
+)  # fmt: skip
+def test_a_policy_that_does_not_fit_is_refused(trained, compose_config, given, message):
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=2", given))
+    with pytest.raises(ValueError, match=message):
+        warm_start(learner, str(trained))
