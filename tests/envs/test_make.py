@@ -76,6 +76,13 @@ def test_evaluation_leaves_out_what_the_table_says_and_nothing_else(compose_conf
     assert JointPositionTarget in kinds[False]
 
 
+def test_null_takes_a_transform_out_of_the_table(compose_config):
+    cfg = compose_config("num_envs=2", "env.transforms.noise=null").env  # training_only names it
+    names = {type(t) for t in instantiate(cfg).transform}
+    assert ObservationNoise not in names
+    assert RandomPush in names
+
+
 def test_unknown_name_in_training_only_is_refused(make_base):
     with pytest.raises(ValueError, match=r"training_only must name transforms .*got wind"):
         make_env(make_base(), table(), training_only=["wind"])

@@ -2,7 +2,9 @@
 
 import pytest
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
+from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
@@ -27,8 +29,6 @@ def course(make_task, fields: dict, **values):
 
 def ended(transform: Curriculum, terminated: list[bool], done: list[bool]) -> None:
     """Tells the curriculum how the worlds' steps ended."""
-    from tensordict import TensorDict
-
     flags = {"terminated": terminated, "done": done}
     td = TensorDict({key: torch.tensor(value)[:, None] for key, value in flags.items()})
     transform._step(td, td)
@@ -44,6 +44,27 @@ def test_success_raises_and_a_fall_lowers_only_the_level_of_its_world(make_task)
     ended(curriculum, [False, True, False, True], [True, True, False, False])
     assert_close(curriculum.level, torch.tensor([0.6, 0.45, 0.5, 0.5]))
     assert_close(noise.std["joint_position"], torch.tensor([0.06, 0.045, 0.05, 0.05]))
+
+
+def test_an_aim_reached_raises_the_level_and_any_other_end_lowers_it(make_task, compose_config):
+    """Reached it, fell, ran out of time, goes on."""
+    env = course(make_task, {"push.size": [[0.1, 0.2], [0.5, 0.9]]}, up=0.1, down=0.05, level=0.5)
+    curriculum = find(env, Curriculum)
+    curriculum.success = "there"
+    td = TensorDict(
+        {
+            "done": torch.tensor([[True], [True], [True], [False]]),
+            "terminated": torch.tensor([[True], [True], [False], [False]]),
+            "terminations": {"there": torch.tensor([[True], [False], [False], [False]])},
+        }
+    )
+    curriculum._step(td, td)
+    assert_close(curriculum.level, torch.tensor([0.6, 0.45, 0.45, 0.5]))
+    cfg = compose_config(
+        "num_envs=2", "experiment=push_to_kneel_kneel", "env.transforms.curriculum.success=there"
+    )
+    with pytest.raises(InstantiationException, match=r"success must name .*stable.*got there"):
+        instantiate(cfg.env)
 
 
 def test_levels_stay_within_their_bounds(make_task):

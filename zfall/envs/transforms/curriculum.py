@@ -16,10 +16,12 @@ class Curriculum(Transform):
     """Gives every world a level in [0, 1] that success raises, and moves other transforms by it.
 
     An episode that reaches its time limit raises the level of its world by ``up``, one that ends
-    in a fall lowers it by ``down``. Each field follows its world's level through its stages. In
+    in a fall lowers it by ``down``; where the task is to reach something, its ``success`` raises
+    it and everything else lowers it. Each field follows its world's level through its stages. In
     the table it comes after terminations and time limit.
 
-    Keys: reads ``done`` and ``terminated``, writes ``curriculum_level`` ``(N, 1)``.
+    Keys: reads ``done`` and ``terminated``, or ``done`` and ``("terminations", success)``; writes
+    ``curriculum_level`` ``(N, 1)``.
 
     Args:
         env: the base env.
@@ -31,6 +33,7 @@ class Curriculum(Transform):
         down: its loss after a fall.
         stepwise: whether to keep a stage's value until the next stage is reached.
         level: at the beginning.
+        success: name of the condition of ``Terminations`` that is no failure but the aim.
 
     Raises:
         ValueError: on a field that does not exist or is no number, or a bad level.
@@ -47,6 +50,7 @@ class Curriculum(Transform):
         down: float = 0.05,
         stepwise: bool = False,
         level: float = 0.0,
+        success: str | None = None,
     ):
         super().__init__()
         if not 0.0 <= level <= 1.0:
@@ -60,6 +64,7 @@ class Curriculum(Transform):
                 raise ValueError(f"fields.{name} must hold at least two stages, got {stages}.")
             self.fields[name] = torch.tensor([list(s) if _pair(s) else s for s in stages]).float()
         self.up, self.down, self.stepwise = up, down, stepwise
+        self.success = success
         self._targets: dict[str, tuple[Any, str]] = {}
         self.register_buffer("level", torch.full((env.num_envs,), level))
         self.register_load_state_dict_post_hook(lambda module, _: module._move())
@@ -68,8 +73,14 @@ class Curriculum(Transform):
         """Finds the fields among the transforms of the table; called once by ``make_env``.
 
         Raises:
-            ValueError: if one is not there or of another shape.
+            ValueError: if one is not there or of another shape, or nothing ends in ``success``.
         """
+        ends = [name for t in transforms.values() for name in getattr(t, "conditions", ())]
+        if self.success is not None and self.success not in ends:
+            raise ValueError(
+                f"success must name a condition of terminations ({', '.join(ends)}), "
+                f"got {self.success}."
+            )
         for name, stages in self.fields.items():
             first, *middle, last = name.split(".")
             if first not in transforms or not (middle or last):
@@ -108,8 +119,11 @@ class Curriculum(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         done = next_tensordict["done"].squeeze(-1)
         if done.any():  # moved at once, so that the coming reset draws from the new level
-            fell = next_tensordict["terminated"].squeeze(-1)
-            change = torch.where(fell, -torch.as_tensor(self.down), torch.as_tensor(self.up))
+            if self.success is None:
+                good = ~next_tensordict["terminated"].squeeze(-1)
+            else:
+                good = next_tensordict["terminations", self.success].squeeze(-1)
+            change = torch.where(good, torch.as_tensor(self.up), -torch.as_tensor(self.down))
             level = torch.where(done, (self.level + change).clamp(0.0, 1.0), self.level)
             if not torch.equal(level, self.level):
                 self.level = level
