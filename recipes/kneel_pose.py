@@ -17,7 +17,6 @@ from rich.table import Table
 from tensordict import TensorDict
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.model import lowest_point
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import tilt
 from zfall.envs.terms.kneel import resting_kneel, touching
@@ -69,6 +68,21 @@ def draw(kind: str, count: int, generator: np.random.Generator) -> tuple[Array, 
     return angles, generator.uniform(*LEAN, count)
 
 
+def lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Height of the lowest point of the robot [m]."""
+    heights = []
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] == 0 or model.geom_contype[geom] == 0:
+            continue
+        size, up = model.geom_size[geom], data.geom_xmat[geom].reshape(3, 3)[2]
+        drop = {
+            mujoco.mjtGeom.mjGEOM_BOX: np.abs(up) @ size,
+            mujoco.mjtGeom.mjGEOM_CAPSULE: size[0] + abs(up[2]) * size[1],
+        }.get(mujoco.mjtGeom(model.geom_type[geom]), size[0])
+        heights.append(data.geom_xpos[geom][2] - drop)
+    return float(min(heights))
+
+
 def hold(env: HumanoidEnv, angles: Array, lean: Array, seconds: float) -> TensorDict:
     """What the worlds are in after the servos held these poses for some time."""
     model, count = env.simulation.model, len(angles)
@@ -80,7 +94,7 @@ def hold(env: HumanoidEnv, angles: Array, lean: Array, seconds: float) -> Tensor
         data.qpos[:7] = [0, 0, 0, *turn[world]]
         data.qpos[places] = angles[world]
         mujoco.mj_kinematics(model, data)
-        position[world, 2] = 0.001 - lowest_point(model, data)
+        position[world, 2] = 0.001 - lowest(model, data)
     start = {"joint_position": angles, "base_orientation": turn, "base_position": position}
     td = TensorDict(
         {("start", key): torch.tensor(value).float() for key, value in start.items()},

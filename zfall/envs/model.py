@@ -89,21 +89,6 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
     }
 
 
-def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Height of the lowest point of what can collide, the floor aside [m]."""
-    heights = []
-    for geom in range(model.ngeom):
-        if model.geom_bodyid[geom] == 0 or model.geom_contype[geom] == 0:
-            continue
-        size, up = model.geom_size[geom], data.geom_xmat[geom].reshape(3, 3)[2]
-        drop = {
-            mujoco.mjtGeom.mjGEOM_BOX: np.abs(up) @ size,
-            mujoco.mjtGeom.mjGEOM_CAPSULE: size[0] + abs(up[2]) * size[1],
-        }.get(mujoco.mjtGeom(model.geom_type[geom]), size[0])
-        heights.append(data.geom_xpos[geom][2] - drop)
-    return float(min(heights))
-
-
 def _add_ball(spec: mujoco.MjSpec, ball: Ball) -> None:
     """Adds the ball after the robot, so that the robot's indices stay; raises ``ValueError``."""
     for name, value in (("mass", ball.mass), ("radius", ball.radius)):

@@ -1,8 +1,6 @@
-"""What differs from world to world: numbers of a transform, and who begins anew."""
+"""Numbers of a transform that may differ from world to world."""
 
-from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs.transforms.utils import _get_reset
 
 
 def per_world(value: float | Tensor, dims: int) -> float | Tensor:
@@ -20,8 +18,3 @@ def check_not_negative(name: str, values: dict[str, float]) -> None:
     for key, value in values.items():
         if not value >= 0:
             raise ValueError(f"{name}.{key} must not be negative, got {value}.")
-
-
-def reset_rows(tensordict: TensorDictBase) -> Tensor:
-    """The worlds that a reset touches ``(N,)`` bool."""
-    return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)

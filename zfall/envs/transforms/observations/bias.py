@@ -13,7 +13,8 @@ from zfall.envs.transforms.observations.measured import (
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.values import check_not_negative, per_world, reset_rows
+from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import check_not_negative, per_world
 
 
 class ObservationBias(Transform):

@@ -1,0 +1,245 @@
+"""How an episode begins."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import Transform
+from torchrl.envs.transforms.utils import _get_reset
+
+from zfall.envs.humanoid import START_KEYS, STATE_KEYS, HumanoidEnv
+from zfall.envs.motions import load_motions
+from zfall.envs.rotations import rotate, turned
+from zfall.envs.transforms.values import per_world
+
+
+class NoisyStart(Transform):
+    """Starts episodes in the standing pose with Gaussian noise, over the floor or on it.
+
+    Writes ``("start", "joint_position")`` [rad] and ``("start", "joint_velocity")`` [rad/s]
+    ``(N, J)`` for the reset of the base env; angles are clamped to the joint ranges. With a
+    clearance also ``("start", "clearance")`` ``(N, 1)`` [m].
+
+    Args:
+        env: the base env.
+        joint_position: standard deviation of each angle [rad].
+        joint_velocity: standard deviation of each speed [rad/s].
+        clearance: smallest and largest height of the lowest corner of the soles above the floor
+            [m], uniform; what is drawn below 0 is 0. On the floor if ``null``.
+
+    Raises:
+        ValueError: on a negative standard deviation, or a clearance that is no range.
+    """
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        joint_position: float = 0.0,
+        joint_velocity: float = 0.0,
+        clearance: Sequence[float] | None = None,
+    ):
+        super().__init__()
+        for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
+            if std < 0:
+                raise ValueError(f"{name} must not be negative, got {std}.")
+        if clearance is not None and not clearance[0] <= clearance[1]:
+            raise ValueError(f"clearance must be [smallest, largest], got {list(clearance)}.")
+        self.clearance = None if clearance is None else list(clearance)
+        self.joint_position, self.joint_velocity = joint_position, joint_velocity
+        self.rng, self.stand, self.range = env.rng, env.stand_position, env.joint_range
+        self.num_envs = env.num_envs
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        noise = torch.randn(2, self.num_envs, len(self.stand), generator=self.rng)
+        low, high = self.range.unbind(-1)
+        angle = self.stand + per_world(self.joint_position, 2) * noise[0]
+        tensordict["start", "joint_position"] = torch.clamp(angle, low, high)
+        tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[1]
+        if self.clearance is not None:
+            least, most = (per_world(bound, 2) for bound in self.clearance)
+            u = torch.rand(self.num_envs, 1, generator=self.rng)
+            tensordict["start", "clearance"] = torch.clamp_min(least + (most - least) * u, 0.0)
+        return tensordict
+
+
+class ScriptedStart(Transform):
+    """Starts every world in a state given beforehand.
+
+    Writes the keys ``("start", NAME)`` for the reset of the base env, NAME being one of
+    ``zfall.envs.humanoid.START_KEYS``, from ``states``, which may be changed between episodes.
+
+    Args:
+        env: the base env.
+        states: by name, values ``(N, ...)`` for each world.
+
+    Raises:
+        ValueError: on a name that is not one of ``START_KEYS``.
+    """
+
+    def __init__(self, env: HumanoidEnv, *, states: dict[str, Tensor]):
+        super().__init__()
+        unknown = sorted(set(states) - set(START_KEYS))
+        if unknown:
+            raise ValueError(f"states must be of {', '.join(START_KEYS)}, got {unknown[0]}.")
+        self.states, self.num_envs = states, env.num_envs
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        for name, value in self.states.items():
+            tensordict["start", name] = value
+        return tensordict
+
+
+class ReferenceStart(Transform):
+    """Starts episodes in the midst of reference motions, with Gaussian noise on the joints.
+
+    A motion and its phase are drawn uniformly; where the base is then is the origin, and the way
+    it faces is that of x, or any if ``heading``. The lowest corner of the soles is put on the
+    floor: in the motions it is there, and noise would push a sole into it otherwise.
+
+    Writes, for the reset of the base env, ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS``
+    but ``base_position``; angles are clamped to the joint ranges.
+
+    Args:
+        env: the base env.
+        motions: names of motions, see ``docs/gaits.md``; all if ``None``.
+        joint_position: standard deviation of each angle [rad].
+        joint_velocity: standard deviation of each speed [rad/s].
+        heading: whether to turn the robot by an angle drawn uniformly.
+
+    Raises:
+        ValueError: on an unknown motion or none, a negative standard deviation, or a robot
+            without motions.
+
+    Source: Duburcq et al., "Reactive stepping for humanoid robots using reinforcement learning",
+    IROS 2022, section IV-B. The motions are our own, the deviations of the noise not published.
+    """
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        motions: Sequence[str] | None = None,
+        joint_position: float = 0.0,
+        joint_velocity: float = 0.0,
+        heading: bool = False,
+    ):
+        super().__init__()
+        for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
+            if std < 0:
+                raise ValueError(f"{name} must not be negative, got {std}.")
+        there = load_motions(env.robot)
+        names = list(there if motions is None else motions)
+        unknown = [name for name in names if name not in there]
+        if unknown or not names:
+            got = unknown[0] if unknown else "none"
+            raise ValueError(f"motions must be of {', '.join(there)}, got {got}.")
+        self.joint_position, self.joint_velocity = joint_position, joint_velocity
+        self.heading = heading
+        self.rng, self.range, self.num_envs = env.rng, env.joint_range, env.num_envs
+        chosen = [there[name].states for name in names]
+        self.count = torch.tensor([len(states["joint_position"]) for states in chosen])
+        self.first = self.count.cumsum(0) - self.count
+        keys = [key for key in STATE_KEYS if key != "base_position"]
+        states = {
+            key: torch.from_numpy(np.concatenate([states[key] for states in chosen]))
+            for key in keys
+        }
+        ahead = rotate(states["base_orientation"], torch.tensor([[1.0, 0.0, 0.0]]))
+        _turn(states, -torch.atan2(ahead[:, 1], ahead[:, 0]))
+        self.sizes = {key: states[key].shape[-1] for key in keys}
+        self.table = torch.cat([states[key] for key in keys], -1)  # one look-up for all
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        motion = torch.randint(len(self.count), (self.num_envs,), generator=self.rng)
+        phase, angle = torch.rand(2, self.num_envs, generator=self.rng)
+        row = self.first[motion] + (phase * self.count[motion]).long()
+        values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
+        start = dict(zip(self.sizes, values, strict=True))
+        if self.heading:
+            _turn(start, 2.0 * torch.pi * angle)
+        joints = start["joint_position"]
+        noise = torch.randn(2, *joints.shape, generator=self.rng)
+        low, high = self.range.unbind(-1)
+        joints = joints + per_world(self.joint_position, 2) * noise[0]
+        start["joint_position"] = torch.clamp(joints, low, high)
+        start["joint_velocity"] += per_world(self.joint_velocity, 2) * noise[1]
+        for name, value in start.items():
+            tensordict["start", name] = value
+        return tensordict
+
+
+class FallingStart(Transform):
+    """Starts episodes in the midst of falls, states recorded from a policy that was pushed.
+
+    Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
+    others begin as what comes before it in the table says. ``python -m recipes.falls`` records.
+
+    Args:
+        env: the base env.
+        bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
+        share: of the episodes that begin in a fall.
+
+    Raises:
+        ValueError: if the file is missing, or is of another robot, or the share is not in (0, 1].
+    """
+
+    def __init__(self, env: HumanoidEnv, *, bank: str | None = None, share: float = 1.0):
+        super().__init__()
+        if not 0 < share <= 1:
+            raise ValueError(f"share must lie in (0, 1], got {share}.")
+        own = Path(env.robot.mjcf).with_name(f"{env.robot.name}_falls.npz")
+        path = own if bank is None else Path(bank)
+        if not path.is_file():
+            raise ValueError(f"bank must be a file that recipes.falls wrote, there is no {path}.")
+        with np.load(path) as file:
+            states = {key: torch.from_numpy(file[key]).float() for key in STATE_KEYS}
+        if states["joint_position"].shape[1] != len(env.stand_position):
+            raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
+        self.share, self.num_envs, self.rng = share, env.num_envs, env.rng
+        self.sizes = {key: value.shape[-1] for key, value in states.items()}
+        self.table = torch.cat(list(states.values()), -1)
+        base = torch.tensor(env.simulation.model.key("stand").qpos).float()
+        self.stand = {  # of the other worlds, whose soles are put on the floor
+            "base_position": torch.full((3,), torch.nan),
+            "base_orientation": base[3:7],
+            "joint_position": env.stand_position,
+        }
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        row = torch.randint(len(self.table), (self.num_envs,), generator=self.rng)
+        falls = torch.rand(self.num_envs, 1, generator=self.rng) < self.share
+        values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
+        for name, value in zip(self.sizes, values, strict=True):
+            there = tensordict.get(("start", name), None)
+            if there is None:
+                there = self.stand.get(name, torch.zeros_like(value)).expand_as(value)
+            tensordict["start", name] = torch.where(falls, value, there)
+        return tensordict
+
+
+def _turn(states: dict[str, Tensor], angle: Tensor) -> None:
+    """Turns the base and its velocity by ``angle`` ``(K,)`` [rad] about the world's up axis."""
+    cos, sin = angle.cos(), angle.sin()
+    x, y, z = states["base_linear_velocity"].unbind(-1)
+    states["base_linear_velocity"] = torch.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
+    states["base_orientation"] = turned(states["base_orientation"], angle)
+
+
+def reset_rows(tensordict: TensorDictBase) -> Tensor:
+    """The worlds that a reset touches ``(N,)`` bool."""
+    return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)
