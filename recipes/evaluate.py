@@ -192,7 +192,6 @@ def evaluate(
             seed=cfg.seed,
             num_envs=cfg.num_envs,
             servos=tested.servos,
-            kneel=tested.name == "scripted_kneel",
             progress=lambda done, total: bar.update(task, completed=done, total=total),
             plan=plan,
             finished=finished,

@@ -45,8 +45,8 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     check_same_interface(configs)
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
     env_cfg.base_env = kneel.env.base_env
-    for name in (*INTERFACE, "mode"):
-        env_cfg.transforms[name] = kneel.env.transforms[name]
+    for name in (*INTERFACE, "kneel_reference", "mode"):
+        env_cfg.transforms[name] = kneel.env.transforms.get(name)
     env_cfg.transforms.mode.initial = "recover"
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     spec, action_spec = env.observation_spec, env.action_spec

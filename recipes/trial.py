@@ -72,7 +72,6 @@ def run_trial(
         tested.actor,
         seed=cfg.seed,
         servos=tested.servos,
-        kneel=tested.name == "scripted_kneel",
         only=[cfg.trial],
         watch=watch,
     ).to_dict("records")

@@ -18,7 +18,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 from zfall.envs.robots import ZEROTH01, Robot
 from zfall.envs.threads import physics_first
-from zfall.envs.transforms.actions import JointPositionTarget, JointVelocityTarget
+from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials
@@ -140,7 +140,6 @@ def run_battery(
     seed: int = 0,
     num_envs: int = 512,
     servos: bool = True,
-    kneel: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
     plan: pd.DataFrame | None = None,
     only: Sequence[int] | None = None,
@@ -161,7 +160,6 @@ def run_battery(
         seed: of the battery.
         num_envs: worlds that run together, at most; rounded up to whole blocks.
         servos: whether the servos act at all.
-        kneel: whether a policy of ``None`` goes into the robot's kneel in mode KNEEL.
         progress: is told the number of control steps done and their total.
         plan: the trials, if not those of ``plan_trials``; their forces follow from the impulses.
         only: numbers of the trials to run; all if ``None``.
@@ -202,7 +200,7 @@ def run_battery(
         outcomes = Outcomes(base, battery)
         padding = torch.arange(worlds) >= len(chunk)
         base.simulation.step_only(~padding)
-        for step, td in enumerate(play(env, actor, steps, kneel=kneel)):
+        for step, td in enumerate(play(env, actor, steps)):
             outcomes.update(td)
             watch(base, td)
             progress(index * steps + step + 1, len(chunks) * steps)
@@ -235,15 +233,15 @@ def withstood(time: Tensor, outcomes: Outcomes) -> NDArray[np.int64]:
 
 
 def play(
-    env: TransformedEnv, actor: torch.nn.Module | None, steps: int, *, kneel: bool = False
+    env: TransformedEnv, actor: torch.nn.Module | None, steps: int
 ) -> Iterator[TensorDictBase]:
     """Runs the env from a fresh reset, without exploration, and yields what follows each step.
 
-    Without an actor the pose is held or, with ``kneel``, a ``scripted_kneel`` follows.
+    Without an actor the reference pose is held.
     """
     act: Any = actor
     if actor is None:
-        act = scripted_kneel(env) if kneel else hold_pose(env)
+        act = hold_pose(env)
     exploring = set_exploration_type(ExplorationType.DETERMINISTIC)
     with torch.no_grad(), physics_first(), exploring:
         td = env.reset()
@@ -252,32 +250,6 @@ def play(
             td = env.step(td)
             yield td["next"]
             td = step_mdp(td)
-
-
-KNEEL_SPEED = 4.0  # of the targets in a scripted kneel [rad/s]
-
-
-def scripted_kneel(env: TransformedEnv) -> Policy:
-    """The baseline: the pose is held until mode KNEEL; then targets go to the robot's kneel.
-
-    Raises:
-        ValueError: if the env has no mode machine, or no position targets.
-    """
-    base = env.base_env
-    action = next((t for t in env.transform if isinstance(t, JointPositionTarget)), None)
-    if action is None or "mode" not in env.observation_spec.keys():
-        raise ValueError(
-            "scripted_kneel needs an env with position targets and modes: env=push_to_kneel."
-        )
-    stand, kneel = base.stand_position, torch.tensor(base.robot.kneel_position)
-    reach = KNEEL_SPEED * base.control_dt
-
-    def act(td: TensorDictBase) -> TensorDictBase:
-        step = (kneel - td["target"]).clamp(-reach, reach)
-        target = torch.where(td["mode"][:, :1] > 0, stand, td["target"] + step)
-        return td.set("action", action.action_toward(target))
-
-    return act
 
 
 def hold_pose(env: TransformedEnv) -> Policy:

@@ -1,14 +1,15 @@
 """From the policy's action to the servos' commands.
 
-First in the table stands what turns the action into targets: ``JointPositionTarget`` or
-``JointVelocityTarget``. What follows stands for the way to the motors and for the motors' own
-firmware; each takes the commands of all S physics steps from the one before it.
+First in the table stands what turns the action into targets, ``JointPositionTarget`` or
+``JointVelocityTarget``, then what changes these. What follows stands for the way to the motors and
+for the motors' own firmware; each takes the commands of all S physics steps from the one before.
 """
 
 from zfall.envs.transforms.actions.actuator_delay import ActuatorDelay
 from zfall.envs.transforms.actions.hysteresis import Backlash, Deadband
 from zfall.envs.transforms.actions.joint_position_target import JointPositionTarget
 from zfall.envs.transforms.actions.joint_velocity_target import JointVelocityTarget
+from zfall.envs.transforms.actions.kneel_reference import KneelReference
 from zfall.envs.transforms.actions.low_pass import LowPass
 from zfall.envs.transforms.actions.servo_planner import ServoPlanner
 
@@ -18,6 +19,7 @@ __all__ = [
     "Deadband",
     "JointPositionTarget",
     "JointVelocityTarget",
+    "KneelReference",
     "LowPass",
     "ServoPlanner",
 ]
