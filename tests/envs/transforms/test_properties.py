@@ -35,6 +35,7 @@ TABLE = {  # in the order of a yaml
         "heading": True,
     },
     "falling": {"_target_": "zfall.envs.transforms.starts.FallingStart", "share": 0.5},
+    "kneel_reference": {"_target_": "zfall.envs.transforms.actions.KneelReference"},
     "stable": {"_target_": "zfall.envs.transforms.modes.StableHold"},
     "planner": {"_target_": f"{_ACTIONS}.ServoPlanner"},
     "deadband": {"_target_": f"{_ACTIONS}.Deadband", "width": 0.01},
