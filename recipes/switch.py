@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
+from recipes.tested import INTERFACE, changed, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 from zfall.modules.switched import SwitchedActor
@@ -24,7 +24,7 @@ from zfall.modules.switched import SwitchedActor
 def main(cfg: DictConfig) -> None:
     """Writes ``checkpoints/last.pt`` with both policies and the env ``push_to_kneel``."""
     with one_line_errors():
-        check_keys(cfg, {"recover", "kneel", "checkpoint"})
+        check_keys(cfg, {"recover", "kneel", "checkpoint", "change"})
         folder = Path(HydraConfig.get().runtime.output_dir)
         content = switched(cfg)
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
@@ -48,6 +48,7 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     for name in (*INTERFACE, "kneel_reference", "mode"):
         env_cfg.transforms[name] = kneel.env.transforms.get(name)
     env_cfg.transforms.mode.initial = "recover"
+    env_cfg = changed(env_cfg, cfg.change)
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     spec, action_spec = env.observation_spec, env.action_spec
     actors = []

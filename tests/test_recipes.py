@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
 from recipes.one_line import start
 from recipes.tested import keep
@@ -448,8 +449,11 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
         )
         assert done.returncode == 0, done.stderr
     both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
-    done = run("switch", *both, f"hydra.run.dir={tmp_path}/both")
+    change = 'change=["transforms.mode.probability=0.9"]'
+    done = run("switch", *both, change, f"hydra.run.dir={tmp_path}/both")
     assert done.returncode == 0, done.stderr
+    config = checkpoint.load(tmp_path / "both" / "checkpoints" / "last.pt")["config"]
+    assert OmegaConf.create(config).env.transforms.mode.probability == 0.9
     kneel = ["battery=kneel", "impulses=[1.0]", "directions=2", "starts=1", "force_starts=1"]
     done = run(
         "evaluate",
