@@ -157,9 +157,10 @@ def _is_figure(key: str, value: Any) -> bool:
 
 
 def kneel_table(summary: dict[str, Any]) -> pd.DataFrame:
-    """Outcomes of battery ``kneel`` as a table: a row for each push of the list and each size."""
+    """Outcomes of battery ``kneel``: a row for each push of the list, each size, each heading."""
     rows = []
-    for label, entries in (("force [N]", summary["listed"]), ("I", summary["by_impulse"])):
+    groups = {"force [N]": "listed", "I": "by_impulse", "heading [deg]": "by_direction"}
+    for label, entries in ((label, summary[name]) for label, name in groups.items()):
         for push, entry in entries.items():
             row = {"push": f"{label} {push}", "n": entry["n"]}
             for key in ("recovered", "kneeled", "clean", "untouched"):
