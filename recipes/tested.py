@@ -93,10 +93,10 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         )
         if isinstance(given, str):
             given = compose("train", overrides=[f"env={given}", "num_envs=64"]).env
-        given = given.copy()
+        kneels = "kneel_reference" in given.transforms
         if run != "scripted_kneel":
-            given.transforms.pop("kneel_reference", None)
-        elif "kneel_reference" not in given.transforms:
+            given = changed(given, ["transforms.kneel_reference=null"] * kneels)
+        elif not kneels:
             raise ValueError("scripted_kneel needs an env with modes: env=push_to_kneel.")
         return changed(given, cfg.get("change", [])), None
     path = checkpoint_of(run, cfg.checkpoint)

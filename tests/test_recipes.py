@@ -476,5 +476,7 @@ def test_a_scripted_kneel_needs_modes(tmp_path):
     own = [*kneel, f"hydra.run.dir={tmp_path}"]
     done = run("evaluate", "run=scripted_kneel", *own, "end_time=1.5")
     assert done.returncode == 0, done.stderr
+    held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")  # keeps to the stand
+    assert held.returncode == 0, held.stderr
     bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
     assert "scripted_kneel needs an env with modes" in bad.stderr
