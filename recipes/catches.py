@@ -4,7 +4,7 @@ For each of five headings, from straight ahead to straight back, the robot is pu
 all joints go to a posture at the speed of its servos. Of 512 postures the best are kept and varied,
 five times over (cross-entropy method). Good is what comes to rest with torso and head never on
 the floor, at several sizes and headings of the push within 20 degrees, better upright and on
-a knee or shin. Prints what ``Robot.catches`` holds; takes ten minutes.
+a knee or shin. Prints candidates for ``Robot.catches``; takes ten minutes.
 """
 
 import math

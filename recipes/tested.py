@@ -93,12 +93,13 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         )
         if isinstance(given, str):
             given = compose("train", overrides=[f"env={given}", "num_envs=64"]).env
-        kneels = "kneel_reference" in given.transforms
+        given = changed(given, cfg.get("change", []))
+        kneels = given.transforms.get("kneel_reference") is not None
         if run != "scripted_kneel":
             given = changed(given, ["transforms.kneel_reference=null"] * kneels)
         elif not kneels:
             raise ValueError("scripted_kneel needs an env with modes: env=push_to_kneel.")
-        return changed(given, cfg.get("change", [])), None
+        return given, None
     path = checkpoint_of(run, cfg.checkpoint)
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])

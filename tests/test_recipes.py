@@ -476,7 +476,12 @@ def test_a_scripted_kneel_needs_modes(tmp_path):
     own = [*kneel, f"hydra.run.dir={tmp_path}"]
     done = run("evaluate", "run=scripted_kneel", *own, "end_time=1.5")
     assert done.returncode == 0, done.stderr
-    held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")  # keeps to the stand
+    path = tmp_path / "evaluation" / "kneel" / "trials.csv"
+    script = pd.read_csv(path)
+    held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")
     assert held.returncode == 0, held.stderr
+    assert not pd.read_csv(path).equals(script)  # keeps to the stand
+    null = 'change=["transforms.kneel_reference=null"]'
+    assert run("evaluate", "run=scripted_kneel", *own, null).returncode != 0
     bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
     assert "scripted_kneel needs an env with modes" in bad.stderr

@@ -138,8 +138,8 @@ def _other_side(joint: str) -> str:
     return f"{'left' if side == 'right' else 'right'}_{part}"
 
 
-# On the hands, behind it, and on stretched legs; found as recipes.catches finds the others, but
-# among postures that are left as right.
+# On the hands, behind it, and on stretched legs. Found by the search of recipes.catches with every
+# draw and variation left as right, which catches more obliquely than what that recipe prints.
 _SEAT = {
     "right_hip_roll": -0.34,
     "right_hip_pitch": -1.27,

@@ -160,7 +160,9 @@ def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
     target, names = table
     if "curriculum" in names:
         names = names | {"start"}
-    if "stable" in names:
+    if target == "velocity":
+        names = names - {"kneel_reference"}  # changes position targets alone
+    if names & {"stable", "kneel_reference"}:
         names = names | {"mode"}
     if "near" in names:
         names = names | {"observation"}

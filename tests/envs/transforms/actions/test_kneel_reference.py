@@ -125,12 +125,21 @@ def test_a_reset_begins_from_standing_in_its_rows_alone(make_base):
     env = make_base(num_envs=2)
     reference = KneelReference(env)
     stand = env.stand_position.expand(2, -1)
-    step(reference, [1, 1], stand)
+    step(reference, [1, 1], stand, velocity=(-0.5, 0.0))
     before = reference.way.clone()
+    assert reference.choice.tolist() == [4, 4]  # straight back
     rows = TensorDict({"_reset": torch.tensor([[False], [True]])}, batch_size=[2])
     reference._reset(rows, TensorDict(batch_size=[2]))
     assert torch.equal(reference.way[0], before[0])
     assert torch.equal(reference.way[1], stand[1])
+    assert reference.choice.tolist() == [4, 8]
+
+
+def test_commands_made_before_it_are_refused(make_base):
+    env = make_base(num_envs=1)
+    td = TensorDict({"mode": torch.eye(3)[:1], "control": torch.zeros(1, 10, 20)}, batch_size=[1])
+    with pytest.raises(ValueError, match="must come right after a JointPositionTarget"):
+        KneelReference(env)._inv_call(td)
 
 
 def test_bad_values_are_refused(make_base):
@@ -138,5 +147,7 @@ def test_bad_values_are_refused(make_base):
         KneelReference(make_base(), speed=0.0)
     robot = dataclasses.replace(ZEROTH01, catches={})
     env = HumanoidEnv(num_envs=1, robot=robot, control_dt=0.04, physics_dt=0.004)
-    with pytest.raises(ValueError, match="needs a robot with kneel and catches, zeroth01 has none"):
+    with pytest.raises(
+        ValueError, match="needs a robot with a kneel and catches for .* zeroth01 has"
+    ):
         KneelReference(env)

@@ -18,13 +18,15 @@ class KneelReference(Transform):
 
     ``target = clamp(target + way - stand, joint range)``: ``way`` is the standing pose in mode
     RECOVER, from where in the other modes every joint goes to a posture at ``speed``. A policy
-    that does nothing so kneels by script; one that learns corrects the script.
+    that does nothing so kneels by script; one that learns corrects the script, by as much as the
+    target before it, which the joint ranges bound too, leaves. The postures are not symmetric:
+    what mirrors actions (``symmetry``) does not fit.
 
     The posture is the robot's kneel until the center of mass moves faster than ``moving`` along
     the ground; then once and for all that of ``Robot.catches`` for the nearest heading.
 
     Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
-    sensing wrote it; changes ``target`` ``(N, J)`` [rad]. Comes after what makes the target.
+    sensing wrote it; changes ``target`` ``(N, J)`` [rad]. Comes after ``JointPositionTarget``.
 
     Args:
         env: the base env.
@@ -41,9 +43,10 @@ class KneelReference(Transform):
     def __init__(self, env: HumanoidEnv, *, speed: float = 6.0, moving: float = 0.3):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
         robot = env.robot
-        if not (robot.kneel and robot.catches):
+        if not robot.kneel or sorted(robot.catches) != list(range(0, 181, 360 // SECTORS)):
             raise ValueError(
-                f"KneelReference needs a robot with kneel and catches, {robot.name} has none."
+                "KneelReference needs a robot with a kneel and catches for headings of 0, 45, 90, "
+                f"135 and 180 degrees; {robot.name} has {sorted(robot.catches)}."
             )
         for name, value in (("speed", speed), ("moving", moving)):
             if not value > 0:
@@ -62,6 +65,11 @@ class KneelReference(Transform):
         mode = tensordict.get("mode", None)
         if mode is None:
             raise ValueError("KneelReference needs the key mode: put a ModeMachine into the table.")
+        if "control" in tensordict.keys():
+            raise ValueError(
+                "KneelReference must come right after a JointPositionTarget, before what writes "
+                "control."
+            )
         recover = mode[:, 0] > 0
         velocity = read_measured(tensordict, "com_velocity")[:, :2]
         x, y = turn_to_heading(tensordict["base_orientation"], velocity).unbind(-1)
