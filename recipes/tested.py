@@ -95,10 +95,10 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
             given = compose("train", overrides=[f"env={given}", "num_envs=64"]).env
         given = changed(given, cfg.get("change", []))
         kneels = given.transforms.get("kneel_reference") is not None
-        if run != "scripted_kneel":
-            given = changed(given, ["transforms.kneel_reference=null"] * kneels)
-        elif not kneels:
+        if run == "scripted_kneel" and not kneels:
             raise ValueError("scripted_kneel needs an env with modes: env=push_to_kneel.")
+        if run != "scripted_kneel" and kneels:  # else they would kneel by script, too
+            given = changed(given, ["transforms.kneel_reference=null"])
         return given, None
     path = checkpoint_of(run, cfg.checkpoint)
     content = checkpoint.load(path)

@@ -27,26 +27,9 @@ from zfall.envs.model import identity_of
 
 KEYS = {
     *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
-    *(
-        "max_grad_norm",
-        "averaging",
-        "resume",
-        "warm_start",
-        "checkpoint_every",
-        "env",
-        "actor",
-        "critic",
-        "loss",
-    ),
-    *(
-        "optimizer",
-        "scheduler",
-        "showcase",
-        "experiment",
-        "auxiliary_losses",
-        "auxiliary_share",
-        "augmentation",
-    ),
+    *("max_grad_norm", "averaging", "resume", "warm_start", "checkpoint_every", "showcase"),
+    *("env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
+    *("auxiliary_losses", "auxiliary_share", "augmentation"),
 }
 
 

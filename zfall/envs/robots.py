@@ -138,8 +138,19 @@ def _other_side(joint: str) -> str:
     return f"{'left' if side == 'right' else 'right'}_{part}"
 
 
-# On the hands, behind it, and on stretched legs. Found by the search of recipes.catches with every
-# draw and variation left as right, which catches more obliquely than what that recipe prints.
+_KEEPS_SIGN = ("hip_pitch", "knee_pitch", "ankle_pitch")
+
+
+def _image(pose: dict[str, float]) -> dict[str, float]:
+    """The mirror image of a pose [rad]."""
+    return {
+        _other_side(joint): angle if joint.endswith(_KEEPS_SIGN) else -angle
+        for joint, angle in pose.items()
+    }
+
+
+# On the hands, behind it, and on stretched legs: found by a search like that of recipes.catches, of
+# pushes straight back and among postures that are left as right.
 _SEAT = {
     "right_hip_roll": -0.34,
     "right_hip_pitch": -1.27,
@@ -153,6 +164,27 @@ _SEAT = {
     "left_ankle_pitch": -0.46,
     "left_shoulder_pitch": -0.72,
     "left_elbow_roll": 0.11,
+}
+
+_HANDS_AND_KNEES = {
+    "right_hip_yaw": 0.15,
+    "right_hip_roll": 0.09,
+    "right_hip_pitch": 0.63,
+    "right_knee_pitch": -0.74,
+    "right_ankle_pitch": -0.18,
+    "right_ankle_roll": -0.1,
+    "right_shoulder_pitch": -1.01,
+    "right_shoulder_roll": -0.69,
+    "right_elbow_roll": -0.53,
+    "left_hip_yaw": 0.05,
+    "left_hip_roll": 0.29,
+    "left_hip_pitch": 0.83,
+    "left_knee_pitch": -1.05,
+    "left_ankle_pitch": -0.6,
+    "left_ankle_roll": 0.1,
+    "left_shoulder_pitch": 0.92,
+    "left_shoulder_roll": 0.89,
+    "left_elbow_roll": 1.02,
 }
 
 ZEROTH01 = Robot(
@@ -190,46 +222,8 @@ ZEROTH01 = Robot(
         "right_elbow_roll": 0.2,
     },
     catches={
-        0: {
-            "right_hip_yaw": 0.15,
-            "right_hip_roll": 0.09,
-            "right_hip_pitch": 0.63,
-            "right_knee_pitch": -0.74,
-            "right_ankle_pitch": -0.18,
-            "right_ankle_roll": -0.1,
-            "right_shoulder_pitch": -1.01,
-            "right_shoulder_roll": -0.69,
-            "right_elbow_roll": -0.53,
-            "left_hip_yaw": 0.05,
-            "left_hip_roll": 0.29,
-            "left_hip_pitch": 0.83,
-            "left_knee_pitch": -1.05,
-            "left_ankle_pitch": -0.6,
-            "left_ankle_roll": 0.1,
-            "left_shoulder_pitch": 0.92,
-            "left_shoulder_roll": 0.89,
-            "left_elbow_roll": 1.02,
-        },
-        45: {
-            "right_hip_yaw": -0.05,
-            "right_hip_roll": -0.29,
-            "right_hip_pitch": 0.83,
-            "right_knee_pitch": -1.05,
-            "right_ankle_pitch": -0.6,
-            "right_ankle_roll": -0.1,
-            "right_shoulder_pitch": -0.92,
-            "right_shoulder_roll": -0.89,
-            "right_elbow_roll": -1.02,
-            "left_hip_yaw": -0.15,
-            "left_hip_roll": -0.09,
-            "left_hip_pitch": 0.63,
-            "left_knee_pitch": -0.74,
-            "left_ankle_pitch": -0.18,
-            "left_ankle_roll": 0.1,
-            "left_shoulder_pitch": 1.01,
-            "left_shoulder_roll": 0.69,
-            "left_elbow_roll": 0.53,
-        },
+        0: _HANDS_AND_KNEES,
+        45: _image(_HANDS_AND_KNEES),
         90: {
             "right_hip_yaw": 0.67,
             "right_hip_roll": 0.43,
@@ -264,7 +258,7 @@ ZEROTH01 = Robot(
         "elbow": PushPoint(body="R_ARM_MIRROR_1", offset=None),  # its frame is the left elbow
     },
     mirror={joint: _other_side(joint) for joint in _JOINTS},
-    mirror_keeps_sign=("hip_pitch", "knee_pitch", "ankle_pitch"),
+    mirror_keeps_sign=_KEEPS_SIGN,
     com_height=0.220,
     mass=3.3494,
     legs=tuple(f"{side}_{joint}" for side in ("right", "left") for joint in _LEG),
