@@ -4,6 +4,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from zfall.envs.threads import physics_first
 
 FULL = "env=push_recovery_realistic"  # every kind of transform at once
 LOSSES = ["caps=atalante", "symmetry=loss"]  # beside PPO's
-ROUNDS = 4  # every figure is measured in turn, several times: the machine's speed drifts
+ROUNDS = 8  # every figure is measured in turn, several times: the machine's speed drifts
 
 
 @hydra.main(version_base=None, config_path=".", config_name="bench")
@@ -63,6 +64,7 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     tasks: dict[str, Callable[[float], float]] = {
         "limit": lambda seconds: bare_physics(env, *recorded, seconds),
         "limit_full": lambda seconds: bare_physics(full, *full_recorded, seconds),
+        "limit_together": lambda seconds: together(env, *recorded, seconds),
         "env": stepper.run,
         "env_full": full_stepper.run,
         "train_mlp": lambda seconds: train(mlp, seconds),
@@ -135,6 +137,16 @@ def bare_physics(
         mujoco.mj_step(model, data, nstep=base.substeps)
         done += 1
     return len(os.sched_getaffinity(0)) * done / (time.perf_counter() - began)
+
+
+def together(
+    env: TransformedEnv, states: torch.Tensor, controls: torch.Tensor, seconds: float
+) -> float:
+    """As ``bare_physics``, but measured on all cores at once, which share caches and clock."""
+    cores = len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(cores) as pool:
+        runs = [pool.submit(bare_physics, env, states, controls, seconds) for _ in range(cores)]
+    return sum(done.result() for done in runs) / cores
 
 
 def train(learner: Learner, seconds: float) -> float:

@@ -197,7 +197,8 @@ class Learner:
                 if cfg.burn_in:
                     part = burnt_in(part, self._remembering, cfg.burn_in)
                 out = self.loss(part)
-                some = part[: max(1, round(cfg.auxiliary_share * len(part)))]  # drawn at random
+                if self.auxiliary:
+                    some = self._some(part)
                 for auxiliary in self.auxiliary:
                     out.update(auxiliary(some))
                 total = sum(value for key, value in out.items() if key.startswith("loss_"))
@@ -223,6 +224,13 @@ class Learner:
         self._average.update_parameters(self.actor)
         self.updates += 1
         return means
+
+    def _some(self, part: TensorDictBase) -> TensorDictBase:
+        """What the losses beside PPO's see of a minibatch, and what PPO's knows of it already."""
+        count = max(1, round(self.cfg.auxiliary_share * len(part)))  # the order is random
+        distribution, self.loss.distribution = self.loss.distribution, None
+        mu = distribution.deterministic_sample[:count]
+        return part[:count].set("deterministic_action", mu)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""

@@ -307,6 +307,33 @@ def test_losses_beside_ppos_see_a_share_of_each_minibatch(compose_config, share,
     assert seen == [rows] * 10  # of two minibatches of 64 in each of five passes
 
 
+@pytest.mark.parametrize("actor", ["mlp_mog", "gru_mog"])
+def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compose_config, actor):
+    """Their values and gradients, with the actions of PPO's pass and with passes of their own."""
+    options = ("num_envs=16", "rollout_steps=8", f"actor={actor}", "auxiliary_share=0.5")
+    learner = Learner(compose_config(*options, "caps=atalante", "symmetry=loss"))
+    for parameter in learner.actor.parameters():  # away from a policy that does nothing
+        parameter.data.add_(torch.randn_like(parameter), alpha=0.1)
+    batch = learner.collect()
+    learner.learn(batch)
+    part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
+    found = []
+    for known in (True, False):
+        with set_recurrent_mode(True):
+            learner.loss(part)
+        some = learner._some(part)
+        some = some if known else some.exclude("deterministic_action")
+        torch.manual_seed(0)
+        values = {k: v for loss in learner.auxiliary for k, v in loss(some).items()}
+        learner.optimizer.zero_grad()
+        sum(values.values()).backward()
+        gradient = [p.grad.clone() for p in learner.actor.parameters() if p.grad is not None]
+        found.append((values, gradient))
+    assert all(value > 1e-6 for value in found[0][0].values())
+    assert sum(g.abs().sum() for g in found[0][1]) > 1e-3
+    assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
+
+
 FAULTS = [
     (["auxiliary_share=0"], r"auxiliary_share must lie in \(0, 1\], got 0"),
     (["critic.normalize=shared", "actor.normalize=false"], "needs an actor that has a normaliser"),

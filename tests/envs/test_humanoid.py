@@ -120,6 +120,26 @@ def test_partial_reset_leaves_the_other_worlds_alone(make_base):
                        before[rest].sort().values)  # fmt: skip
 
 
+def test_reset_of_some_worlds_shows_what_the_others_showed_also_in_a_restored_env(make_base):
+    """Every key: as after the step in the other worlds, as after a whole reset in the new ones."""
+    env, restored = make_base(3), make_base(3)
+    whole, td = (
+        env.reset(),
+        TensorDict({"target": env.stand_position + 0.1 * torch.randn(3, 20)}, [3]),
+    )
+    for _ in range(5):
+        stepped = env.step(td.copy())["next"]
+    restored.reset()  # has seen something else
+    restored.load_state_dict(env.state_dict())
+    rows = torch.tensor([False, True, False])
+    for world in (env, restored):
+        mixed = world._reset(TensorDict({"_reset": rows[:, None]}, [3]))
+        assert (mixed["joint_position"][rows] - stepped["joint_position"][rows]).abs().max() > 0.01
+        for key in world.observation_spec.keys(True, True):
+            assert_close(mixed[key][rows], whole[key][rows], rtol=0, atol=0)
+            assert_close(mixed[key][~rows], stepped[key][~rows], rtol=0, atol=0)
+
+
 def test_control_acts_at_the_resolution_of_the_physics(make_base):
     """A target of the last physics step alone moves a joint less than one of all ten."""
     env = make_base(num_envs=3)

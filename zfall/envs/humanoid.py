@@ -141,6 +141,7 @@ class HumanoidEnv(EnvBase):
         self._soles = [int(model.sensor(f"feet_position/{foot}").objid[0]) for foot in robot.feet]
         self.servo_time_constant = _servo_time_constant(model, robot)
         self._recorded: tuple[str, ...] = ()
+        self._observed: TensorDictBase | None = None  # what the last step or reset gave
         self._stand = torch.tensor(model.key("stand").qpos.copy())
         self._quantities = Quantities(
             robot,
@@ -222,6 +223,7 @@ class HumanoidEnv(EnvBase):
                 f"got {unknown[0]}."
             )
         self._recorded = tuple(dict.fromkeys((*self._recorded, *keys)))
+        self._observed = None
         spec = self.observation_spec.clone()
         for key in keys:
             num, *shape = spec[key].shape
@@ -261,40 +263,47 @@ class HumanoidEnv(EnvBase):
         start = {
             key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)
         }
-        observed = self._observe(self._place(rows, start), reset=True)
+        sensors = self._place(rows, start)
+        if self._observed is None or rows.all():
+            observed = self._observe(sensors)
+        else:  # a few new rows among what the others had
+            index = rows.nonzero()[:, 0]
+            observed, new = self._observed.copy(), self._observe(sensors, index)
+            for key, value in new.items(True, True):
+                observed.set(key, self._observed.get(key).index_copy(0, index, value))
         return self._mark(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 
-    def _observe(self, sensors: Tensor, *, reset: bool = False) -> TensorDictBase:
-        """All quantities.
+    def observed(self) -> list[Tensor]:
+        """What the last step or reset gave, all worlds in each."""
+        return [] if self._observed is None else list(self._observed.values(True, True))
 
-        After a reset only the new rows count: TorchRL keeps what it had in the others.
-        """
-        qpos, qvel = self.simulation.qpos, self.simulation.qvel
-        used = sensors[:, -1:] if reset else sensors  # the same in all steps of the new rows
-        out = self._quantities(qpos, qvel, used, self.parameters.gravity, self.parameters.mass)
+    def _observe(self, sensors: Tensor, index: Tensor | None = None) -> TensorDictBase:
+        """All quantities, of all worlds or of those in ``index`` ``(K,)``."""
+        simulation, parameters = self.simulation, self.parameters
+        arrays = (simulation.qpos, simulation.qvel, sensors, parameters.gravity, parameters.mass)
+        out = self._quantities(*_rows_of(arrays, index))
         if self._recorded:
-            out["substeps"] = self._substeps(sensors)
+            out["substeps"] = self._substeps(sensors, index)
         if self.ball:
+            states = _rows_of(arrays[:2], index)
             for key, state, columns in zip(
-                ("position", "velocity"), (qpos, qvel), self._ball, strict=True
+                ("position", "velocity"), states, self._ball, strict=True
             ):
                 out["ball", key] = state[:, columns].float()
         return out
 
-    @staticmethod
-    def _mark(observed: TensorDictBase, diverged: Tensor) -> TensorDictBase:
+    def _mark(self, observed: TensorDictBase, diverged: Tensor) -> TensorDictBase:
         """Adds the flags: the episode ends only where the physics failed."""
+        self._observed = observed.copy()
         for key in ("diverged", "terminated", "done"):
             observed[key] = diverged.clone()
         observed["truncated"] = torch.zeros_like(diverged)
         return observed
 
-    def _substeps(self, sensors: Tensor) -> dict[str, Tensor]:
-        """What ``record_substeps`` asked for."""
-        qpos, qvel = self.simulation.substates
-        return self._quantities.substeps(
-            self._recorded, qpos, qvel, sensors, self.parameters.gravity
-        )
+    def _substeps(self, sensors: Tensor, index: Tensor | None) -> dict[str, Tensor]:
+        """What ``record_substeps`` asked for, of the worlds as in ``_observe``."""
+        arrays = (*self.simulation.substates, sensors, self.parameters.gravity)
+        return self._quantities.substeps(self._recorded, *_rows_of(arrays, index))
 
     def _place(self, rows: Tensor, start: dict[str, Tensor]) -> Tensor:
         """Puts worlds into their start state; returns the sensor values of all worlds."""
@@ -364,8 +373,16 @@ class HumanoidEnv(EnvBase):
     def load_state_dict(self, state_dict: dict[str, Any], *args: Any, **kwargs: Any) -> None:
         """Restores what ``state_dict`` gave."""
         self.set_physics_params(TensorDict(state_dict["parameters"]))
+        self._observed = None
         self.simulation.load_state_dict(state_dict["simulation"])
         self.rng.set_state(state_dict["rng"])
+
+
+def _rows_of(arrays: Iterable[Tensor | None], index: Tensor | None) -> list[Any]:
+    """The rows in ``index`` ``(K,)`` of each, all if it is ``None``; ``None`` stays."""
+    if index is None:
+        return list(arrays)
+    return [None if array is None else array.index_select(0, index) for array in arrays]
 
 
 def _servo_time_constant(model: mujoco.MjModel, robot: Robot) -> Tensor:

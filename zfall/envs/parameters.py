@@ -115,8 +115,10 @@ class PhysicsParameters:
 
     def _fields(self, names: set[str], index: Tensor) -> dict[str, Tensor]:
         """Values ``(K, ...)`` of the fields that depend on any of ``names``, of worlds ``(K,)``."""
-        value = {n: tensor.index_select(0, index).double() for n, tensor in self.values.items()}
         count, fields = len(index), {}
+
+        def value(name: str) -> Tensor:
+            return self.values[name].index_select(0, index).double()
 
         def nominal(name: str) -> Tensor:
             fields[name] = self._nominal[name].repeat(count, *(1,) * self._nominal[name].dim())
@@ -124,22 +126,22 @@ class PhysicsParameters:
 
         if names & {"link_mass", "payload"}:
             mass, inertia = nominal("body_mass"), nominal("body_inertia")
-            mass[:, self._link] *= value["link_mass"]
-            inertia[:, self._link] *= value["link_mass"][..., None]
-            mass[:, list(self.push_points.values())] = value["payload"]
+            mass[:, self._link] *= value("link_mass")
+            inertia[:, self._link] *= value("link_mass")[..., None]
+            mass[:, list(self.push_points.values())] = value("payload")
         if "com_offset" in names:
-            nominal("body_ipos")[:, self._link] += value["com_offset"].unflatten(-1, (-1, 3))
+            nominal("body_ipos")[:, self._link] += value("com_offset").unflatten(-1, (-1, 3))
         if names & {"floor_friction", "foot_friction"}:
             friction = nominal("geom_friction")
-            friction[:, self._not_foot, 0] = value["floor_friction"]  # the larger of two counts
-            friction[:, self._foot, 0] = value["foot_friction"]
+            friction[:, self._not_foot, 0] = value("floor_friction")  # the larger of two counts
+            friction[:, self._foot, 0] = value("foot_friction")
         for name, field in (
             ("joint_friction_loss", "dof_frictionloss"),
             ("joint_damping", "dof_damping"),
             ("joint_armature", "dof_armature"),
         ):
             if name in names:
-                nominal(field)[:, self._dof] *= value[name]
+                nominal(field)[:, self._dof] *= value(name)
         if names & {
             "servo_stiffness",
             "servo_torque_limit",
@@ -147,15 +149,15 @@ class PhysicsParameters:
             "joint_zero_offset",
         }:
             gain, bias = nominal("actuator_gainprm"), nominal("actuator_biasprm")
-            factor = value["servo_stiffness"] * value["battery_voltage"]
+            factor = value("servo_stiffness") * value("battery_voltage")
             gain[:, self._actuator, 0] *= factor
             bias[:, self._actuator, 1] *= factor
             # The servo compares its target with what the encoder reads.
-            bias[:, self._actuator, 0] = -gain[:, self._actuator, 0] * value["joint_zero_offset"]
-            limit = value["servo_torque_limit"] * value["battery_voltage"]
+            bias[:, self._actuator, 0] = -gain[:, self._actuator, 0] * value("joint_zero_offset")
+            limit = value("servo_torque_limit") * value("battery_voltage")
             nominal("actuator_forcerange")[:, self._actuator] *= limit[..., None]
         if "slope" in names:
-            fields["gravity"] = GRAVITY * _downhill(value["slope"])
+            fields["gravity"] = GRAVITY * _downhill(value("slope"))
         return fields
 
 

@@ -162,9 +162,10 @@ class Simulation:
             values of its new state, and the other rows are as the last ``step`` left them.
         """
         self._diverged = self.diverged & ~rows
-        self._state[rows] = self._full_state(qpos, qvel)
-        self._states[rows] = self._state[rows, None]
-        self._sensors[rows] = self._sensors_of(qpos, qvel, control, rows)[:, None]
+        index = rows.nonzero()[:, 0]
+        state = self._full_state(qpos, qvel)
+        self._state[index], self._states[index] = state, state[:, None]
+        self._sensors[index] = self._sensors_of(qpos, qvel, control, index)[:, None]
         return self._sensors
 
     def set_fields(self, rows: Tensor, fields: dict[str, Tensor]) -> None:
@@ -211,16 +212,15 @@ class Simulation:
         """
         return site_poses(self.model, self._data[0], qpos, sites)
 
-    def _sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, rows: Tensor) -> Tensor:
-        """Sensor values ``(K, nsensordata)`` of new states; arguments as in ``reset``."""
+    def _sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, index: Tensor) -> Tensor:
+        """Sensor values ``(K, nsensordata)`` of new states of the worlds in ``index``."""
         self._settle()
         # A loop, for these are few rows between two steps: threads would take longer to wake up.
         data = self._data[0]
         sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)
         data.time, data.xfrc_applied[:] = 0.0, 0.0
         states = zip(qpos.numpy(), qvel.numpy(), control.numpy(), sensors.numpy(), strict=True)
-        numbers = rows.nonzero()[:, 0].tolist()
-        for row, (position, velocity, target, values) in zip(numbers, states, strict=True):
+        for row, (position, velocity, target, values) in zip(index.tolist(), states, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = position, velocity, target
             data.qacc_warmstart[:] = 0.0
             mujoco.mj_forward(self._models[row], data)

@@ -36,8 +36,8 @@ class CAPSLoss(LossModule):
     step.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)``, and ``("next", "observation")`` of a policy
-    without memory; ``(N, T, ...)`` of a recurrent one. Writes ``loss_temporal`` and
-    ``loss_spatial`` ``()``.
+    without memory; ``(N, T, ...)`` of a recurrent one. mu is taken from ``deterministic_action``,
+    if the batch has it. Writes ``loss_temporal`` and ``loss_spatial`` ``()``.
 
     Args:
         actor_network: the policy.
@@ -116,15 +116,21 @@ class CAPSLoss(LossModule):
         )
 
     def _feed_forward(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        here, after = batch["observation"], batch["next", "observation"]
-        together = torch.stack([here, after, self._neighbour(batch)])
+        seen = [batch["next", "observation"], self._neighbour(batch)]
+        here = self._known(batch)
+        if here is None:
+            seen.append(batch["observation"])
+        together = torch.stack(seen)
         mu = self._act(TensorDict({"observation": together}, together.shape[:2]))
-        temporal = self.temporal_norm(mu[0] - mu[1]).mean()
-        return temporal, self.spatial_norm(mu[0] - mu[2]).mean()
+        here = mu[2] if here is None else here
+        temporal = self.temporal_norm(here - mu[0]).mean()
+        return temporal, self.spatial_norm(here - mu[1]).mean()
 
     def _recurrent(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        with set_recurrent_mode(True):
-            mu = self._act(batch.select(*self.actor_network.in_keys))
+        mu = self._known(batch)
+        if mu is None:
+            with set_recurrent_mode(True):
+                mu = self._act(batch.select(*self.actor_network.in_keys))
         follows = ~batch["is_init"][:, 1:, 0]
         change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
         steps = batch.reshape(-1)
@@ -134,6 +140,10 @@ class CAPSLoss(LossModule):
             mu = self._act(pair.reshape(-1)).unflatten(0, (2, -1))
         spatial = self.spatial_norm(mu[0] - mu[1]).mean()
         return change.sum() / follows.sum().clamp_min(1), spatial
+
+    def _known(self, batch: TensorDictBase) -> Tensor | None:
+        """mu at every step, if somebody has run the policy already."""
+        return None if self.on_actions else batch.get("deterministic_action", None)
 
     def _act(self, batch: TensorDictBase) -> Tensor:
         distribution = self.actor_network.get_dist(batch)

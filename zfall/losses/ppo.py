@@ -29,7 +29,8 @@ class PenalizedPPOLoss(ClipPPOLoss):
     1.5 if the divergence was more than twice the target, by half if less than half of it. It is a
     buffer, the only state beside the networks.
 
-    Without the three it is ``ClipPPOLoss``.
+    Without the three it is ``ClipPPOLoss``. ``distribution`` is that of the actions in the last
+    batch, with its graph, so that losses beside this one need not run the actor again.
 
     Keys: as ``ClipPPOLoss``; also writes ``kl`` ``()``, the mean of ``r - 1 - log r``, and with a
     penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says which samples are ``mirrored``
@@ -85,6 +86,7 @@ class PenalizedPPOLoss(ClipPPOLoss):
         if self.penalized:
             self.out_keys += ["loss_kl", "kl_coeff"]
         self._log_ratio: Any = None
+        self.distribution: Any = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Losses and figures of a batch, each ``()``."""
@@ -123,5 +125,5 @@ class PenalizedPPOLoss(ClipPPOLoss):
     def _log_weight(self, *args: object, **kwargs: object) -> tuple:
         """What TorchRL computes anyway and does not give out: the actor need not run again."""
         result = super()._log_weight(*args, **kwargs)
-        self._log_ratio = result[0]
+        self._log_ratio, self.distribution = result[:2]
         return result

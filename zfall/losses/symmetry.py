@@ -27,7 +27,8 @@ class SymmetryLoss(LossModule):
     sequence from the memory that it would have there, see ``MirroredMemory``.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)`` or sequences ``(N, T, ...)`` of a recurrent
-    one, and then ``recurrent_state_actor_mirrored``. Writes ``loss_symmetry`` ``()``.
+    one, and then ``recurrent_state_actor_mirrored``. mu(o) is taken from ``deterministic_action``,
+    if the batch has it. Writes ``loss_symmetry`` ``()``.
 
     Args:
         actor_network: the policy.
@@ -65,10 +66,11 @@ class SymmetryLoss(LossModule):
         image = here.copy().set("observation", self.mirrors["observation"](here["observation"]))
         for memory in self.memories:
             image[memory.hidden] = tensordict[memory.key]
-        recurrent = bool(self.memories)
-        with set_recurrent_mode(recurrent):
-            pair = self.actor_network.get_dist(torch.cat([here, image])).deterministic_sample
-        mu, mirrored = pair.chunk(2)
+        mu = tensordict.get("deterministic_action", None)
+        seen = image if mu is not None else torch.cat([here, image])
+        with set_recurrent_mode(bool(self.memories)):
+            acted = self.actor_network.get_dist(seen).deterministic_sample
+        mu, mirrored = acted.chunk(2) if mu is None else (mu, acted)
         error = (mirrored - self.mirrors["action"](mu)).square().sum(-1).mean()
         return TensorDict({"loss_symmetry": self.coeff * error})
 
