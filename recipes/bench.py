@@ -1,5 +1,6 @@
 """Speed against the bare physics and against peers, in one run: ``python -m recipes.bench``."""
 
+import gc
 import json
 import os
 import time
@@ -111,6 +112,8 @@ def in_turns(
 ) -> dict[str, float]:
     """Control steps/s of each task, measured in several turns of all: the machine drifts."""
     speeds: dict[str, list[float]] = {name: [] for name in tasks}
+    gc.collect()
+    gc.freeze()  # as in recipes.train
     for turn in range(ROUNDS):
         for name, task in tasks.items():
             report(f"{name}, {turn + 1} of {ROUNDS}")

@@ -197,8 +197,7 @@ class Learner:
                 if cfg.burn_in:
                     part = burnt_in(part, self._remembering, cfg.burn_in)
                 out = self.loss(part)
-                if self.auxiliary:
-                    some = self._some(part)
+                some = self._some(part)
                 for auxiliary in self.auxiliary:
                     out.update(auxiliary(some))
                 total = sum(value for key, value in out.items() if key.startswith("loss_"))
@@ -227,10 +226,12 @@ class Learner:
 
     def _some(self, part: TensorDictBase) -> TensorDictBase:
         """What the losses beside PPO's see of a minibatch, and what PPO's knows of it already."""
-        count = max(1, round(self.cfg.auxiliary_share * len(part)))  # the order is random
+        some = part[: max(1, round(self.cfg.auxiliary_share * len(part)))]  # the order is random
         distribution, self.loss.distribution = self.loss.distribution, None
-        mu = distribution.deterministic_sample[:count]
-        return part[:count].set("deterministic_action", mu)
+        if self.auxiliary and getattr(distribution, "statistic", "mean") == "mean":
+            # A mode is searched for: those who need it do so for their share alone.
+            some["deterministic_action"] = distribution.deterministic_sample[: len(some)]
+        return some
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""

@@ -1,12 +1,14 @@
 """Trains a policy and shows what it can do: ``python -m recipes.train experiment=quickstart``."""
 
 import csv
+import gc
 import math
 import os
 import shutil
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +118,7 @@ def train(learner: Learner, run: "RunFolder", console: Console) -> bool:
     )
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = max(1, -(-int(cfg.total_frames) // learner.frames_per_batch))
-    with progress_bar(console) as bar:
+    with progress_bar(console) as bar, garbage_collector_of_new_things():
         task = bar.add_task("train", total=total, completed=learner.updates, note="")
         while learner.updates < total:
             times = [time.perf_counter()]
@@ -142,6 +144,17 @@ def train(learner: Learner, run: "RunFolder", console: Console) -> bool:
                 return False
     signal.signal(signal.SIGINT, previous)
     return True
+
+
+@contextmanager
+def garbage_collector_of_new_things() -> Iterator[None]:
+    """Spares the garbage collector what has been set up, which stays: it would visit all again."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def progress_bar(console: Console) -> Progress:

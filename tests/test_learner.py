@@ -329,6 +329,11 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
         sum(values.values()).backward()
         gradient = [p.grad.clone() for p in learner.actor.parameters() if p.grad is not None]
         found.append((values, gradient))
+        if known:  # and they do take them
+            moved = some.copy().update({"deterministic_action": 2 * some["deterministic_action"]})
+            changed = {k: v for loss in learner.auxiliary for k, v in loss(moved).items()}
+            for key in ("loss_temporal", "loss_symmetry"):
+                assert changed[key] > 1.1 * values[key]
     assert all(value > 1e-6 for value in found[0][0].values())
     assert sum(g.abs().sum() for g in found[0][1]) > 1e-3
     assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)

@@ -7,6 +7,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.model import Ball
 from zfall.envs.quantities import SUBSTEP_KEYS
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import rotate
@@ -121,12 +122,20 @@ def test_partial_reset_leaves_the_other_worlds_alone(make_base):
 
 
 def test_reset_of_some_worlds_shows_what_the_others_showed_also_in_a_restored_env(make_base):
-    """Every key: as after the step in the other worlds, as after a whole reset in the new ones."""
-    env, restored = make_base(3), make_base(3)
-    whole, td = (
-        env.reset(),
-        TensorDict({"target": env.stand_position + 0.1 * torch.randn(3, 20)}, [3]),
-    )
+    """Every key: as after the step in the other worlds, as after a whole reset in the new ones.
+
+    With a ball, floors that fall to different sides, and robots of different mass.
+    """
+    env, restored = (make_base(3, ball=Ball(mass=0.5, radius=0.04)) for _ in range(2))
+    drawn = {
+        "slope": 0.1 * torch.randn(3, 2),
+        "payload": torch.rand(3, len(env.parameters.push_points)),
+    }
+    for world in (env, restored):
+        world.record_substeps(SUBSTEP_KEYS)
+        world.set_physics_params(TensorDict(drawn, [3]))
+    whole = env.reset()
+    td = TensorDict({"target": env.stand_position + 0.1 * torch.randn(3, 20)}, [3])
     for _ in range(5):
         stepped = env.step(td.copy())["next"]
     restored.reset()  # has seen something else
@@ -136,8 +145,9 @@ def test_reset_of_some_worlds_shows_what_the_others_showed_also_in_a_restored_en
         mixed = world._reset(TensorDict({"_reset": rows[:, None]}, [3]))
         assert (mixed["joint_position"][rows] - stepped["joint_position"][rows]).abs().max() > 0.01
         for key in world.observation_spec.keys(True, True):
-            assert_close(mixed[key][rows], whole[key][rows], rtol=0, atol=0)
-            assert_close(mixed[key][~rows], stepped[key][~rows], rtol=0, atol=0)
+            assert_close(mixed[key][rows], whole[key][rows], rtol=1e-6, atol=1e-6)
+            if world is env or key[0] != "substeps":  # which a saved state does not hold
+                assert_close(mixed[key][~rows], stepped[key][~rows], rtol=1e-6, atol=1e-6)
 
 
 def test_control_acts_at_the_resolution_of_the_physics(make_base):

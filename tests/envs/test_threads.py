@@ -1,5 +1,3 @@
-import gc
-
 import pytest
 import torch
 
@@ -15,13 +13,3 @@ def test_torch_gets_its_threads_back_even_after_an_error():
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
-
-
-def test_what_is_there_is_kept_from_the_garbage_collector_for_the_time_of_it():
-    assert gc.get_freeze_count() == 0
-    with physics_first():
-        count = gc.get_freeze_count()
-        with physics_first():  # the inner one leaves it as it was
-            pass
-        assert gc.get_freeze_count() == count > 1000
-    assert gc.get_freeze_count() == 0

@@ -273,10 +273,6 @@ class HumanoidEnv(EnvBase):
                 observed.set(key, self._observed.get(key).index_copy(0, index, value))
         return self._mark(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 
-    def observed(self) -> list[Tensor]:
-        """What the last step or reset gave, all worlds in each."""
-        return [] if self._observed is None else list(self._observed.values(True, True))
-
     def _observe(self, sensors: Tensor, index: Tensor | None = None) -> TensorDictBase:
         """All quantities, of all worlds or of those in ``index`` ``(K,)``."""
         simulation, parameters = self.simulation, self.parameters

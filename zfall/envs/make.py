@@ -88,29 +88,19 @@ class HumanoidTask(TransformedEnv):
             return super()._reset_proc_data(tensordict, tensordict_reset)
         self._reset_check_done(tensordict, tensordict_reset)
         rows = reset.reshape(-1).nonzero()[:, 0]
-        # What no transform has replaced is whole already.
-        observed = getattr(self.base_env, "observed", list)  # another base env need not have it
-        whole = {id(value) for value in observed()}
-        _copy_rows(tensordict_reset, tensordict, rows, whole)
+        _copy_rows(tensordict_reset, tensordict, rows)
         return tensordict.exclude("_reset", inplace=True)
 
 
-def _copy_rows(
-    source: TensorDictBase, into: TensorDictBase, rows: Tensor, whole: Collection[int]
-) -> None:
-    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0.
-
-    Those whose ``id`` is in ``whole`` are taken as they are.
-    """
+def _copy_rows(source: TensorDictBase, into: TensorDictBase, rows: Tensor) -> None:
+    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0."""
     for key in (source.keys() | into.keys()) - {"_reset"}:
         value, there = source.get(key, None), into.get(key, None)
         if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
             there = value.empty() if there is None else there
-            _copy_rows(there.empty() if value is None else value, there, rows, whole)
+            _copy_rows(there.empty() if value is None else value, there, rows)
         elif value is None:
             there = there.index_fill(0, rows, 0)
-        elif id(value) in whole:
-            there = value
         else:
             there = torch.zeros_like(value) if there is None else there
             there = there.index_copy(0, rows, value.index_select(0, rows))
