@@ -1,6 +1,5 @@
 """Speed against the bare physics and against peers, in one run: ``python -m recipes.bench``."""
 
-import gc
 import json
 import os
 import time
@@ -23,6 +22,7 @@ from torchrl.envs import TransformedEnv
 from recipes.learner import Learner
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.peers import measure_peers
+from recipes.train import garbage_collector_of_new_things
 from zfall.envs.threads import physics_first
 
 FULL = "env=push_recovery_realistic"  # every kind of transform at once
@@ -112,12 +112,11 @@ def in_turns(
 ) -> dict[str, float]:
     """Control steps/s of each task, measured in several turns of all: the machine drifts."""
     speeds: dict[str, list[float]] = {name: [] for name in tasks}
-    gc.collect()
-    gc.freeze()  # as in recipes.train
-    for turn in range(ROUNDS):
-        for name, task in tasks.items():
-            report(f"{name}, {turn + 1} of {ROUNDS}")
-            speeds[name].append(task(seconds / ROUNDS))
+    with garbage_collector_of_new_things():
+        for turn in range(ROUNDS):
+            for name, task in tasks.items():
+                report(f"{name}, {turn + 1} of {ROUNDS}")
+                speeds[name].append(task(seconds / ROUNDS))
     return {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
 
 

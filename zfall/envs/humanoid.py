@@ -289,7 +289,7 @@ class HumanoidEnv(EnvBase):
         return out
 
     def _mark(self, observed: TensorDictBase, diverged: Tensor) -> TensorDictBase:
-        """Adds the flags: the episode ends only where the physics failed."""
+        """Keeps what was observed and adds the flags: only failed physics ends an episode."""
         self._observed = observed.copy()
         for key in ("diverged", "terminated", "done"):
             observed[key] = diverged.clone()
