@@ -1,125 +1,181 @@
-"""Looks for postures that catch a fall: ``python -m recipes.catches``.
+"""Looks for movements that catch a fall: ``python -m recipes.catches falls=FILE``.
 
-For each of five headings, from straight ahead to straight back, the robot is pushed; 0.12 s later
-all joints go to a posture at the speed of its servos. Of 512 postures the best are kept and varied,
-five times over (cross-entropy method). Good is what comes to rest with torso and head never on
-the floor, at several sizes and headings of the push within 20 degrees, better upright and on
-a knee or shin. Prints candidates for ``Robot.catches``; takes ten minutes.
+For each of seven headings and some speeds, falls that ``recipes.falls`` recorded go on with the
+joints going through a few postures, without a policy. The best of many movements are kept and
+varied, again and again (cross-entropy method, Rubinstein 1999), each tried on other falls every
+time. Good is what comes to rest with torso and head never on the floor, better upright on a knee
+or shin. Goes on from what the robot has; takes half an hour.
 """
 
-import math
+from itertools import pairwise
+from pathlib import Path
 
+import hydra
+import numpy as np
 import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
 from rich.console import Console
 from tensordict import TensorDict
 from torch import Tensor
 
-from zfall.envs.humanoid import HumanoidEnv
+from recipes.one_line import check_keys, one_line_errors, start
+from zfall.envs.catches import HEADINGS, catches_path, load_catches, save_catches
+from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
+from zfall.envs.rotations import turn_to_heading
 from zfall.envs.terms.kneel import resting_kneel, touching
 
-HEADINGS = (0, 45, 90, 135, 180)  # [degrees]; those to the right are mirror images
-# Size of a push and how far its heading is off [degrees].
-PUSHES = ((0.6, 0.0), (0.8, 20.0), (1.0, -20.0), (1.0, 10.0), (1.25, -10.0), (1.5, 0.0))
-DURATION, REACTION, END, SPEED = 0.1, 0.12, 1.8, 6.0  # [s, s, s, rad/s]
-WORLDS, ELITE, ROUNDS, SHRINK = 512, 32, 5, 0.6
-# What each side's joints are drawn from at first [rad], of the left one; the right one mirrors it.
-RANGES = {
-    "hip_yaw": (-0.4, 0.4),
-    "hip_roll": (-0.3, 0.5),
-    "hip_pitch": (-1.57, 0.87),
-    "knee_pitch": (-1.39, 0.0),
-    "ankle_pitch": (-0.7, 0.69),
-    "shoulder_pitch": (-1.0, 2.0),
-    "shoulder_roll": (-0.4, 2.2),
-    "elbow_roll": (-0.8, 1.5),
-}
+END, SPEED = 1.5, 6.0  # of a trial [s]; of each joint, as that of KneelReference [rad/s]
+KEYS = {"falls", "speeds", "until", "candidates", "trials", "elite", "rounds", "spread", "seed"}
 
 
-def draw(env: HumanoidEnv, generator: torch.Generator) -> Tensor:
-    """Postures ``(WORLDS, J)`` [rad], the first half of them left as right."""
-    angles = env.stand_position.repeat(WORLDS, 1)
-    for name, (low, high) in RANGES.items():
-        left, right = low + (high - low) * torch.rand(2, WORLDS, generator=generator)
-        right[: WORLDS // 2] = left[: WORLDS // 2]
-        one, other = (env.robot.joints.index(f"{side}_{name}") for side in ("left", "right"))
-        angles[:, one] = left
-        angles[:, other] = env.robot.mirror_sign[other] * right
-    return angles
+class Falls:
+    """Recorded falls, with which worlds begin.
 
-
-def caught(env: HumanoidEnv, postures: Tensor, size: float, heading: float) -> tuple[Tensor, ...]:
-    """Of each posture ``(WORLDS,)``: does it catch a push, kneel upright then, and for how long?
-
-    The last is the share of the time that torso and head were off the floor.
+    Args:
+        env: the base env.
+        path: the file.
     """
-    env.reset()
-    force = size * env.robot.impulse_unit / DURATION
-    body = env.push_targets["torso"]
-    along = torch.tensor([math.cos(heading), math.sin(heading)])
-    way = env.stand_position.repeat(WORLDS, 1)
+
+    def __init__(self, env: HumanoidEnv, path: Path):
+        if not path.is_file():
+            raise ValueError(f"falls must be a file that recipes.falls wrote, there is no {path}.")
+        with np.load(path) as file:
+            arrays = {key: torch.from_numpy(file[key]).float() for key in file.files}
+        self.states = {key: arrays[key] for key in STATE_KEYS}
+        self.force, self.left = arrays["push_force"], arrays["push_left"][:, 0]
+        self.env, count = env, len(self.force)
+        velocity = torch.empty(count, 2)
+        soon = self.left.clamp(max=env.control_dt)[:, None] / env.mass  # as KneelReference sees it
+        for rows in torch.arange(count).split(env.num_envs):  # the last ones are filled up
+            td = self.begin(torch.cat([rows, rows.new_zeros(env.num_envs - len(rows))]))
+            speed = td["com_velocity"][: len(rows), :2] + soon[rows] * self.force[rows, :2]
+            velocity[rows] = turn_to_heading(td["base_orientation"][: len(rows)], speed)
+        self.speed = velocity.norm(dim=-1)
+        self.heading = torch.atan2(velocity[:, 1], velocity[:, 0]).rad2deg()
+
+    def wrench(self, rows: Tensor, time: float) -> Tensor | None:
+        """What is left of their pushes in the control step that begins at a time [s]."""
+        env = self.env
+        steps = ((self.left[rows] - time) / env.physics_dt).round()
+        if not (steps > 0).any():
+            return None
+        on = torch.arange(env.substeps) < steps[:, None]
+        wrench = env.zero_wrench()
+        wrench[:, :, env.push_targets["torso"], :3] = on[..., None] * self.force[rows, None]
+        return wrench
+
+    def begin(self, rows: Tensor) -> TensorDict:
+        """Worlds ``(N,)`` in the falls of these rows."""
+        start = TensorDict({key: value[rows] for key, value in self.states.items()}, [len(rows)])
+        return self.env.reset(TensorDict({"start": start}, [len(rows)]))
+
+    def like(self, heading: float, low: float, high: float) -> Tensor:
+        """Rows of falls within 15 degrees of a heading and between two speeds [m/s]."""
+        off = (self.heading - heading + 180.0) % 360.0 - 180.0
+        return ((off.abs() <= 15.0) & (self.speed >= low) & (self.speed < high)).nonzero()[:, 0]
+
+
+def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> tuple[Tensor, ...]:
+    """Of movements ``(N, K, J)``, each on its fall: at rest, kneeling, untouched, upright.
+
+    The third is the share of the time until torso or head first touched the floor; the others are
+    at the end, and count for nothing if they ever did. The last is the cosine of the tilt.
+    """
+    env = falls.env
+    falls.begin(rows)
+    way = env.stand_position.repeat(len(rows), 1)
     reach = SPEED * env.control_dt
-    untouched = torch.ones(WORLDS, dtype=torch.bool)
-    lasted, steps = torch.zeros(WORLDS), round(END / env.control_dt)
+    untouched = torch.ones(len(rows), dtype=torch.bool)
+    lasted, steps = torch.zeros(len(rows)), round(END / env.control_dt)
     for step in range(steps):
-        time = step * env.control_dt
-        if time > REACTION - 1e-6:
-            way = way + (postures - way).clamp(-reach, reach)
-        td = TensorDict({"target": way}, batch_size=[WORLDS])
-        if time < DURATION:
-            wrench = env.zero_wrench()
-            on = time + torch.arange(wrench.shape[1]) * env.physics_dt < DURATION - 1e-6
-            wrench[:, on, body, :2] = force * along
+        phase = int((until <= step * env.control_dt + 1e-6).sum())
+        way = way + (postures[:, phase] - way).clamp(-reach, reach)
+        td = TensorDict({"target": way}, batch_size=[len(rows)])
+        wrench = falls.wrench(rows, step * env.control_dt)
+        if wrench is not None:
             td["push", "wrench"] = wrench
         td = env.step(td)["next"]
         untouched &= ~touching(td, env.robot, "torso", "head").squeeze(-1)
         lasted += untouched / steps
         env.simulation.step_only(untouched)
+        if not untouched.any():
+            break
     env.simulation.step_only(None)
     still = td["base_linear_velocity"].norm(dim=-1) < 0.1
     still &= td["base_angular_velocity"].norm(dim=-1) < 0.1
     kneels = resting_kneel(td, td, robot=env.robot).squeeze(-1)
-    return untouched & still, untouched & kneels, lasted
+    upright = untouched * -td["projected_gravity"][:, 2]
+    return untouched & still, untouched & kneels, lasted, upright
 
 
-def score(env: HumanoidEnv, postures: Tensor, heading: int) -> Tensor:
-    """How good postures are for a heading ``(WORLDS,)``, at most 4 for each push."""
-    total = torch.zeros(WORLDS)
-    for size, off in PUSHES:
-        safe, kneels, lasted = caught(env, postures, size, math.radians(heading + off))
-        total += safe.float() + 2.0 * kneels.float() + lasted
-    return total
+def search(falls: Falls, rows: Tensor, mean: Tensor, cfg: DictConfig) -> tuple[Tensor, Tensor]:
+    """The mean of the best movements ``(K, J)`` [rad] and their scores, at most 5.
+
+    Args:
+        falls: all of them.
+        rows: those to be caught.
+        mean: where the search begins ``(K, J)`` [rad].
+        cfg: of the recipe.
+    """
+    generator = torch.Generator().manual_seed(cfg.seed)
+    low, high = falls.env.joint_range.unbind(-1)
+    until = torch.tensor([*cfg.until, torch.inf])
+    std, kept = torch.full_like(mean, cfg.spread), mean[None]
+    for _ in range(cfg.rounds):
+        noise = torch.randn((cfg.candidates, *mean.shape), generator=generator)
+        moves = (mean + std * noise).clamp(low, high)
+        moves[: len(kept)] = kept
+        tried = rows[torch.randint(len(rows), (cfg.trials,), generator=generator)]
+        safe, kneels, lasted, upright = caught(
+            falls, tried.repeat(cfg.candidates), moves.repeat_interleave(cfg.trials, 0), until
+        )
+        total = safe.float() + 2.0 * kneels.float() + lasted + upright
+        best = total.view(cfg.candidates, cfg.trials).mean(1).topk(cfg.elite)
+        kept = moves[best.indices]
+        mean, std = kept.mean(0), 0.9 * kept.std(0) + 0.02
+    return mean, best.values
 
 
-def search(env: HumanoidEnv, heading: int, console: Console) -> Tensor:
-    """The best posture for a heading ``(J,)`` [rad]."""
-    generator = torch.Generator().manual_seed(heading)
-    low, high = env.joint_range.unbind(-1)
-    postures = draw(env, generator).clamp(low, high)
-    for turn in range(ROUNDS):
-        best = score(env, postures, heading).topk(ELITE)
-        kept = postures[best.indices]
-        console.print(f"{heading}, round {turn}: {best.values[0]:.1f} of {4 * len(PUSHES)}")
-        parents = kept[torch.randint(ELITE, (WORLDS,), generator=generator)]
-        noise = torch.randn(postures.shape, generator=generator)
-        postures = (parents + SHRINK * kept.std(0) * noise).clamp(low, high)
-        postures[:ELITE] = kept
-    return kept[0]
-
-
-def main() -> None:
-    """Searches, and prints what was found; what is best for one heading is tried for all."""
+@hydra.main(version_base=None, config_path=".", config_name="catches")
+def main(cfg: DictConfig) -> None:
+    """Writes ``catches.npz`` and what came of each movement on all its falls."""
     console = Console()
-    env = HumanoidEnv(num_envs=WORLDS, control_dt=0.04, physics_dt=0.004)
-    robot = env.robot
-    found = [search(env, heading, console) for heading in HEADINGS]
-    found += [torch.tensor(robot.mirrored(pose.tolist())) for pose in found]
-    every = torch.stack(found).repeat(-(-WORLDS // len(found)), 1)[:WORLDS]
-    for heading in HEADINGS:
-        best = score(env, every, heading).max(0)
-        pose = every[best.indices].tolist()
-        named = {j: round(a, 2) for j, a in zip(robot.joints, pose, strict=True) if abs(a) > 0.005}
-        console.print(f"{heading}: {named},  # {best.values:.1f}", soft_wrap=True)
+    with one_line_errors():
+        check_keys(cfg, KEYS)
+        num_envs = cfg.candidates * cfg.trials
+        env = HumanoidEnv(num_envs=num_envs, control_dt=0.04, physics_dt=0.004)
+        falls = Falls(env, Path(cfg.falls))
+    until = torch.tensor([*cfg.until, torch.inf])
+    edges = [0.0, *cfg.speeds, torch.inf]
+    known = load_catches(env.robot) if catches_path(env.robot).is_file() else None
+    found = torch.empty(len(HEADINGS), len(edges) - 1, len(until), len(env.robot.joints))
+    for i, heading in enumerate(HEADINGS):
+        for j, (low, high) in enumerate(pairwise(edges)):
+            mean = env.stand_position.repeat(len(until), 1)
+            if known is not None:
+                there = known.postures[i, min(j, known.postures.shape[1] - 1)]
+                mean = there[torch.arange(len(until)).clamp(max=len(there) - 1)]
+            rows = falls.like(heading, low, high)
+            found[i, j] = mean
+            if len(rows) < cfg.trials:
+                console.print(f"{heading} degrees, from {low} m/s: {len(rows)} falls, left as is")
+                continue
+            found[i, j], _ = search(falls, rows, mean, cfg)
+            some = rows[torch.arange(num_envs) % len(rows)]
+            safe, kneels, lasted, _ = caught(
+                falls, some, found[i, j].expand(num_envs, -1, -1), until
+            )
+            shares = [x.float().mean() for x in (lasted > 0.999, safe, kneels)]
+            console.print(
+                f"{heading} degrees, from {low} m/s: of {len(rows)} falls "
+                "{:.2f} untouched, {:.2f} at rest, {:.2f} kneeling".format(*shares),
+                soft_wrap=True,
+            )
+            path = Path(HydraConfig.get().runtime.output_dir) / "catches.npz"
+            save_catches(path, found, until, torch.tensor(list(cfg.speeds)))
+    console.print(f"wrote {path}")
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -1,8 +1,9 @@
 """Records the midst of falls, from which kneeling is learned: ``python -m recipes.falls run=best``.
 
-A policy is pushed from all sides, at the torso and at the pelvis, by more than it withstands. Of
-every trial that ends on the floor the states 0.12 and 0.16 s after the push began are kept:
-later there is no time left, a fall takes 0.3 s.
+A policy is pushed from all sides at some points by more than it withstands. Of every trial that
+ends on the floor the states some ``times`` after the push began are kept, when a trigger may first
+tell: later there is no time left, a fall takes 0.3 s. With ``times=null``, for a policy that
+kneels, it is the state at its own trigger, of all trials.
 """
 
 from pathlib import Path
@@ -18,24 +19,40 @@ from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import load_run
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.terms.falls import body_contact
+from zfall.envs.transforms.modes import KNEEL
 from zfall.evaluation.battery import arrange, battery_env, play, robot_of
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
 
-TIMES = (0.12, 0.16)  # [s]
+KEYS = {
+    "run",
+    "checkpoint",
+    "env",
+    "change",
+    "seed",
+    "starts",
+    "impulses",
+    "points",
+    "duration",
+    "times",
+}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="falls")
 def main(cfg: DictConfig) -> None:
-    """Writes ``falls.npz``: arrays ``(K, ...)`` float32 by the names of ``STATE_KEYS``."""
+    """Writes ``falls.npz``: arrays ``(K, ...)`` float32 by the names of ``STATE_KEYS``.
+
+    ``push_force`` ``(K, 3)`` [N; world] goes on for ``push_left`` ``(K, 1)`` [s].
+    """
     console = Console()
     with one_line_errors():
-        check_keys(cfg, {"run", "checkpoint", "env", "change", "seed", "starts", "impulses"})
+        check_keys(cfg, KEYS)
         env_cfg, actor = load_run(cfg, cfg.run)
     battery = load_battery(
         "envelope",  # which may push at several points
-        point=["torso", "pelvis"],
+        point=list(cfg.points),
         impulses=list(cfg.impulses),
         starts=cfg.starts,
+        duration=cfg.duration,
         push_time=0.52,  # whole control steps of 20 and 40 ms
         end_time=2.5,
         directions=24,
@@ -47,18 +64,36 @@ def main(cfg: DictConfig) -> None:
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
     pushes = plan_pushes(battery, trials)[rows]
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
-    moments, fell = [], torch.zeros(base.num_envs, dtype=torch.bool)
     steps = round(battery.end_time / base.control_dt)
+    fell, moments = torch.zeros(base.num_envs, dtype=torch.bool), []
+    given_up = torch.zeros_like(fell)  # by the mode machine
+    force = torch.from_numpy(trials["force_n"].to_numpy()[rows]).float()
+    heading = torch.from_numpy(trials["direction_rad"].to_numpy()[rows]).float()
+    pushing = torch.stack([force * heading.cos(), force * heading.sin(), 0.0 * force], -1)
     for step, td in enumerate(play(env, actor, steps), 1):
         fell |= body_contact(td, td).squeeze(-1)
         since_push = step * base.control_dt - battery.push_time
-        if any(abs(since_push - time) < 0.5 * base.control_dt for time in TIMES):
-            state = torch.cat([td[key] for key in STATE_KEYS], -1)
-            moments.append(torch.where(fell[:, None], torch.nan, state))
-    states = torch.stack(moments, 1)[: len(trials)][fell[: len(trials)]].flatten(0, 1)
-    table = states[~states.isnan().any(-1)]
+        if cfg.times is None:
+            kept = (td["mode"][:, KNEEL] > 0) & ~given_up & (since_push > 1e-6)
+            given_up |= kept
+        else:
+            now = any(abs(since_push - time) < 0.5 * base.control_dt for time in cfg.times)
+            kept = torch.full_like(fell, now)
+        if not kept.any():
+            continue
+        remains = torch.full((base.num_envs, 1), max(cfg.duration - since_push, 0.0))
+        state = torch.cat(
+            [*(td[key] for key in STATE_KEYS), pushing * (remains > 1e-6), remains], -1
+        )
+        moments.append(torch.where((kept & ~fell)[:, None], state, torch.nan))
+    states = torch.stack(moments, 1)[: len(trials)]
+    if cfg.times is not None:  # the machine gave up what might have stood
+        states = states[fell[: len(trials)]]
+    table = states.flatten(0, 1)
+    table = table[~table.isnan().any(-1)]
     sizes = [td[key].shape[-1] for key in STATE_KEYS]
-    arrays = dict(zip(STATE_KEYS, table.split(sizes, -1), strict=True))
+    parts = table.split([*sizes, 3, 1], -1)
+    arrays = dict(zip((*STATE_KEYS, "push_force", "push_left"), parts, strict=True))
     arrays["base_position"][:, :2] = 0.0
     path = Path(HydraConfig.get().runtime.output_dir) / "falls.npz"
     np.savez_compressed(path, **{key: value.numpy() for key, value in arrays.items()})

@@ -1,7 +1,7 @@
 """Puts a policy that recovers and one that kneels together, switched by the mode machine.
 
 ``python -m recipes.switch recover=RUN kneel=RUN hydra.run.dir=runs/switched`` writes a run folder
-that ``recipes.evaluate`` takes.
+that ``recipes.evaluate`` takes. With ``kneel=script`` the movements of ``recipes.catches`` kneel.
 """
 
 from pathlib import Path
@@ -17,7 +17,9 @@ from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import INTERFACE, changed, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.envs.model import identity_of
-from zfall.modules.switched import SwitchedActor
+from zfall.modules.switched import SwitchedActor, still_actor
+
+SCRIPT = "script"
 
 
 @hydra.main(version_base=None, config_path=".", config_name="switch")
@@ -38,15 +40,16 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     Raises:
         ValueError: if one is missing, or they do not see or do the same.
     """
-    parts = {name: checkpoint.load(checkpoint_of(cfg[name], cfg.checkpoint)) for name in
-             ("recover", "kneel")}  # fmt: skip
+    names = ("recover",) if cfg.kneel == SCRIPT else ("recover", "kneel")
+    parts = {name: checkpoint.load(checkpoint_of(cfg[name], cfg.checkpoint)) for name in names}
     configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
-    kneel = configs["kneel"]
     check_same_interface(configs)
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
-    env_cfg.base_env = kneel.env.base_env
+    last = configs[names[-1]].env
+    env_cfg.base_env = last.base_env
     for name in (*INTERFACE, "kneel_reference", "mode"):
-        env_cfg.transforms[name] = kneel.env.transforms.get(name)
+        if name in last.transforms:  # a policy that only recovers has no modes
+            env_cfg.transforms[name] = last.transforms.get(name)
     env_cfg.transforms.mode.initial = "recover"
     env_cfg = changed(env_cfg, cfg.change)
     env = instantiate(env_cfg, base_env={"num_envs": 1})
@@ -57,13 +60,17 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
         checkpoint.check_fits(part, identity_of(env.base_env.robot), actor, Path(cfg[name]))
         actor.load_state_dict(part["policy"])
         actors.append(actor)
+    actor_cfgs = {name: OmegaConf.to_container(configs[name].actor) for name in parts}
+    if cfg.kneel == SCRIPT:
+        actor_cfgs["kneel"] = {"_target_": "zfall.modules.switched.still_actor"}
+        actors.append(still_actor(spec, action_spec))
     state = SwitchedActor(*actors).state_dict()
     actor_cfg = {"_target_": "zfall.modules.switched.switched_actor", "_recursive_": False}
-    actor_cfg |= {name: OmegaConf.to_container(configs[name].actor) for name in parts}
+    actor_cfg |= actor_cfgs
     config = OmegaConf.create({"env": env_cfg, "actor": actor_cfg, "num_envs": 1})
     return {
         "config": OmegaConf.to_yaml(config, resolve=True),
-        "robot": parts["kneel"]["robot"],
+        "robot": parts["recover"]["robot"],
         "actor": state,
         "policy": state,
     }

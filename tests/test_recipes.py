@@ -463,6 +463,10 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
         'change=["transforms.mode.angle=0.3"]',
     )
     assert done.returncode == 0, done.stderr
+    done = run("switch", both[0], "kneel=script", f"hydra.run.dir={tmp_path}/script")
+    assert done.returncode == 0, done.stderr
+    done = run("evaluate", f"run={tmp_path}/script", *kneel, "end_time=1.5")
+    assert done.returncode == 0, done.stderr
     keys = "env.transforms.observation.keys=[projected_gravity,joint_position,joint_velocity]"
     own = [keys, *common, f"hydra.run.dir={tmp_path}/other"]
     other = run("train", "experiment=push_to_kneel_kneel", *own)

@@ -86,7 +86,7 @@ def test_physics_in_the_mirror_is_the_mirror_image():
         assert away < 0.15 * size + 1e-3, f"{key}: {away:.4f} of {size:.4f}"
 
 
-@pytest.mark.parametrize("key", [*KEYS, "command", "tilt", "imu_orientation", "feet_load"])
+@pytest.mark.parametrize("key", [*KEYS, "command", "mode", "tilt", "imu_orientation", "feet_load"])
 def test_twice_in_the_mirror_is_as_before(key):
     index, _ = mirror_quantity(ZEROTH01, key)
     value = torch.randn(3, len(list(index)))

@@ -29,6 +29,9 @@ def test_a_kneel_is_stable_after_half_a_second_of_rest(make_base):
     took = kneeling.table()["kneel_time_s"]
     assert took[0] == pytest.approx((steps - 1) * env.control_dt, abs=1e-6)
     assert took[1:].isnan().all()
+    trigger = kneeling.table()["trigger_s"]
+    assert trigger[0] == 0.0  # there is no mode: the first touch
+    assert trigger[1:].isnan().all()
 
 
 @pytest.mark.parametrize(

@@ -40,3 +40,15 @@ def test_one_may_have_a_memory_and_both_may_not(env):
     assert ("next", "recurrent_state_actor") in actor.out_keys
     with pytest.raises(ValueError, match="must not both have a memory"):
         SwitchedActor(actor.recover, actor.recover)
+
+
+def test_who_leaves_the_way_down_to_the_script_does_nothing(env):
+    still = {"_target_": "zfall.modules.switched.still_actor"}
+    actor = switched_actor(*specs(env), recover=MLP, kneel=still)
+    assert "observation" in actor.in_keys
+    td = TensorDict({"observation": torch.randn(3, env.observation_spec["observation"].shape[-1]),
+                     "mode": torch.eye(3)}, batch_size=[3])  # fmt: skip
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        action = actor(td)["action"]
+    assert action[0].abs().max() > 0
+    assert torch.equal(action[1:], torch.zeros(2, action.shape[1]))

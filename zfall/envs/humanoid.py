@@ -3,20 +3,26 @@
 from collections.abc import Iterable
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms.utils import _get_reset
 
-from zfall.envs.model import Ball, compile_model, push_targets, sensor_slices
+from zfall.envs.model import (
+    Ball,
+    compile_model,
+    push_targets,
+    sensor_slices,
+    servo_time_constant,
+)
 from zfall.envs.parameters import PhysicsParameters
 from zfall.envs.quantities import SUBSTEP_KEYS, Quantities
 from zfall.envs.robots import ZEROTH01, PushPoint, Robot
 from zfall.envs.simulation import Simulation
+from zfall.envs.specs import action_spec, done_spec, observation_spec
 
 STATE_KEYS = (  # what a state of the robot is made of
     "joint_position",
@@ -139,7 +145,7 @@ class HumanoidEnv(EnvBase):
         self.joint_range = torch.from_numpy(np.stack([j.range for j in joints])).float()
         self.stand_position = torch.tensor(robot.stand_position)
         self._soles = [int(model.sensor(f"feet_position/{foot}").objid[0]) for foot in robot.feet]
-        self.servo_time_constant = _servo_time_constant(model, robot)
+        self.servo_time_constant = servo_time_constant(model, robot)
         self._recorded: tuple[str, ...] = ()
         self._observed: TensorDictBase | None = None  # what the last step or reset gave
         self._stand = torch.tensor(model.key("stand").qpos.copy())
@@ -161,48 +167,15 @@ class HumanoidEnv(EnvBase):
             joint = model.joint("ball")
             places = (int(joint.qposadr[0]), int(joint.dofadr[0]))
         self._ball = tuple(slice(place, place + 3) for place in places)
-        self._make_spec()
+        self.observation_spec = observation_spec(robot, num_envs, with_ball=ball is not None)
+        self.full_action_spec = action_spec(self.joint_range, num_envs, substeps)
+        self.full_reward_spec = Composite(shape=(num_envs,))  # a task's transforms give the reward
+        self.full_done_spec = done_spec(num_envs)
         self.set_seed(0)
 
     def zero_wrench(self) -> Tensor:
         """A wrench ``(N, S, bodies, 6)`` of zeros, kept by the env and lent for one step."""
         return self._wrench.zero_()
-
-    def _make_spec(self) -> None:
-        n, joints = self.num_envs, len(self.robot.joints)
-        shapes = {
-            **dict.fromkeys(("joint_position", "joint_velocity", "joint_torque"), (joints,)),
-            **dict.fromkeys(("base_position", "projected_gravity"), (3,)),
-            **dict.fromkeys(("base_linear_velocity", "base_angular_velocity"), (3,)),
-            **{"base_orientation": (4,), "base_acceleration": (3,), "base_acceleration_peak": (1,)},
-            **dict.fromkeys(("com_position", "com_velocity"), (3,)),
-            **dict.fromkeys(("linear_momentum", "angular_momentum"), (3,)),
-            **dict.fromkeys(("feet_position", "feet_velocity", "feet_force"), (2, 3)),
-            **{"feet_orientation": (2, 4), "feet_cop": (2, 2), "feet_corner_force": (2, 4)},
-            **dict.fromkeys(("contact_force_peak", "contact_impulse"), (len(self.regions),)),
-        }
-        self.observation_spec = Composite(
-            {key: Unbounded((n, *shape)) for key, shape in shapes.items()}
-            | {
-                "feet_contact": Binary(2, shape=(n, 2), dtype=torch.bool),
-                "diverged": Binary(1, shape=(n, 1), dtype=torch.bool),
-            },
-            shape=(n,),
-        )
-        if self.ball:
-            for key in ("position", "velocity"):
-                self.observation_spec["ball", key] = Unbounded((n, 3))
-        low, high = self.joint_range.unbind(-1)
-        steps = (n, self.substeps, joints)
-        self.full_action_spec = Composite(
-            control=Bounded(low.expand(steps).clone(), high.expand(steps).clone(), steps),
-            shape=(n,),
-        )
-        self.full_reward_spec = Composite(shape=(n,))  # a task's transforms give the reward
-        flags = ("done", "terminated", "truncated")
-        self.full_done_spec = Composite(
-            {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in flags}, shape=(n,)
-        )
 
     def record_substeps(self, keys: Iterable[str]) -> None:
         """Makes the env also write what ``keys`` are after each of the S physics steps.
@@ -379,9 +352,3 @@ def _rows_of(arrays: Iterable[Tensor | None], index: Tensor | None) -> list[Any]
     if index is None:
         return list(arrays)
     return [None if array is None else array.index_select(0, index) for array in arrays]
-
-
-def _servo_time_constant(model: mujoco.MjModel, robot: Robot) -> Tensor:
-    """Damping over stiffness of each joint with its servo ``(J,)`` [s], as compiled."""
-    joints = [(model.joint(name), model.actuator(name)) for name in robot.joints]
-    return torch.tensor([float((j.damping[0] - a.biasprm[2]) / -a.biasprm[1]) for j, a in joints])

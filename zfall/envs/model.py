@@ -6,6 +6,8 @@ from functools import cache
 
 import mujoco
 import numpy as np
+import torch
+from torch import Tensor
 
 from zfall.envs.robots import PushPoint, Robot
 
@@ -179,6 +181,12 @@ def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
 def name_in_region(sensor: str, region: str) -> bool:
     """Whether a contact sensor belongs to a region: ``contact_force_peak/REGION[/PART]``."""
     return sensor.split("/")[:2] == ["contact_force_peak", region]
+
+
+def servo_time_constant(model: mujoco.MjModel, robot: Robot) -> Tensor:
+    """Damping over stiffness of each joint with its servo ``(J,)`` [s], as compiled."""
+    joints = [(model.joint(name), model.actuator(name)) for name in robot.joints]
+    return torch.tensor([float((j.damping[0] - a.biasprm[2]) / -a.biasprm[1]) for j, a in joints])
 
 
 FIELDS = (  # what makes a robot move as it does

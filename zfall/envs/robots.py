@@ -1,6 +1,5 @@
 """Robots as data. A second robot is one more MJCF and one more value here."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,8 +35,6 @@ class Robot:
         joints: joint names, in the order of every vector over joints.
         stand: the joints of the standing reference pose that are not at zero [rad].
         kneel: likewise of a pose in which it rests on a knee, and its torso upright.
-        catches: likewise of poses that catch a fall, by its heading [degrees], from 0, straight
-            ahead, to 180 by way of the left; those to the right are their mirror images.
         feet: names of the left and the right foot, as in ``feet_position/left``.
         corners: names of the corners of a sole, as in ``feet_corner_force/left/front_left``.
         sole_half_size: half the length and half the width of a sole [m].
@@ -67,7 +64,6 @@ class Robot:
     mass: float
     legs: tuple[str, ...] = ()
     kneel: dict[str, float] = field(default_factory=dict)
-    catches: dict[int, dict[str, float]] = field(default_factory=dict)
 
     @property
     def stand_position(self) -> tuple[float, ...]:
@@ -78,21 +74,6 @@ class Robot:
     def kneel_position(self) -> tuple[float, ...]:
         """The kneel in the order of ``joints`` [rad]."""
         return tuple(self.kneel.get(joint, 0.0) for joint in self.joints)
-
-    @property
-    def catch_positions(self) -> tuple[tuple[float, ...], ...]:
-        """Poses that catch a fall [rad], evenly around: straight ahead, then by the left."""
-        left = {
-            heading: tuple(pose.get(joint, 0.0) for joint in self.joints)
-            for heading, pose in sorted(self.catches.items())
-        }
-        sides = [pose for heading, pose in left.items() if 0 < heading < 180]
-        return (*left.values(), *(self.mirrored(pose) for pose in reversed(sides)))
-
-    def mirrored(self, pose: Sequence[float]) -> tuple[float, ...]:
-        """The mirror image of a pose in the order of ``joints`` [rad]."""
-        pairs = zip(self.mirror_index, self.mirror_sign, strict=True)
-        return tuple(sign * pose[index] for index, sign in pairs)
 
     @property
     def impulse_unit(self) -> float:
@@ -141,52 +122,6 @@ def _other_side(joint: str) -> str:
 _KEEPS_SIGN = ("hip_pitch", "knee_pitch", "ankle_pitch")
 
 
-def _image(pose: dict[str, float]) -> dict[str, float]:
-    """The mirror image of a pose [rad]."""
-    return {
-        _other_side(joint): angle if joint.endswith(_KEEPS_SIGN) else -angle
-        for joint, angle in pose.items()
-    }
-
-
-# On the hands, behind it, and on stretched legs: found by a search like that of recipes.catches, of
-# pushes straight back and among postures that are left as right.
-_SEAT = {
-    "right_hip_roll": -0.34,
-    "right_hip_pitch": -1.27,
-    "right_knee_pitch": -0.19,
-    "right_ankle_pitch": -0.46,
-    "right_shoulder_pitch": 0.72,
-    "right_elbow_roll": -0.11,
-    "left_hip_roll": 0.34,
-    "left_hip_pitch": -1.27,
-    "left_knee_pitch": -0.19,
-    "left_ankle_pitch": -0.46,
-    "left_shoulder_pitch": -0.72,
-    "left_elbow_roll": 0.11,
-}
-
-_HANDS_AND_KNEES = {
-    "right_hip_yaw": 0.15,
-    "right_hip_roll": 0.09,
-    "right_hip_pitch": 0.63,
-    "right_knee_pitch": -0.74,
-    "right_ankle_pitch": -0.18,
-    "right_ankle_roll": -0.1,
-    "right_shoulder_pitch": -1.01,
-    "right_shoulder_roll": -0.69,
-    "right_elbow_roll": -0.53,
-    "left_hip_yaw": 0.05,
-    "left_hip_roll": 0.29,
-    "left_hip_pitch": 0.83,
-    "left_knee_pitch": -1.05,
-    "left_ankle_pitch": -0.6,
-    "left_ankle_roll": 0.1,
-    "left_shoulder_pitch": 0.92,
-    "left_shoulder_roll": 0.89,
-    "left_elbow_roll": 1.02,
-}
-
 ZEROTH01 = Robot(
     name="zeroth01",
     mjcf=str(_ASSETS / "zeroth01.xml"),
@@ -220,32 +155,6 @@ ZEROTH01 = Robot(
         "left_elbow_roll": -0.2,
         "right_shoulder_roll": -0.2,
         "right_elbow_roll": 0.2,
-    },
-    catches={
-        0: _HANDS_AND_KNEES,
-        45: _image(_HANDS_AND_KNEES),
-        90: {
-            "right_hip_yaw": 0.67,
-            "right_hip_roll": 0.43,
-            "right_hip_pitch": 0.47,
-            "right_knee_pitch": -1.4,
-            "right_ankle_pitch": 0.36,
-            "right_ankle_roll": -0.1,
-            "right_shoulder_pitch": -0.88,
-            "right_shoulder_roll": -2.62,
-            "right_elbow_roll": 1.05,
-            "left_hip_yaw": -0.08,
-            "left_hip_roll": 0.18,
-            "left_hip_pitch": -1.44,
-            "left_knee_pitch": -0.98,
-            "left_ankle_pitch": 0.7,
-            "left_ankle_roll": 0.1,
-            "left_shoulder_pitch": 2.63,
-            "left_shoulder_roll": 2.13,
-            "left_elbow_roll": -0.49,
-        },
-        135: _SEAT,
-        180: _SEAT,
     },
     feet=("left", "right"),
     corners=("front_left", "front_right", "rear_left", "rear_right"),

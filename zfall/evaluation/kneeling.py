@@ -20,10 +20,11 @@ class Kneeling:
     """Looks for a stable kneel, and adds up what the floor did to each region.
 
     ``kneeled``: at the end of the trial it has been a ``resting_kneel`` for half a second.
-    ``kneel_time_s`` [s]: from the trigger, the first step in mode KNEEL or, without modes, the
-    first touch, until the kneel had been stable for half a second. ``impact_energy`` [J]:
-    ``m |v|^2 / 2`` with v the velocity of the center of mass one control step before anything but
-    the feet touched. ``contact_impulse/REGION`` [N s]: time integral of the floor's force.
+    ``trigger_s`` [s]: from the push's begin to the trigger, the first step in mode KNEEL or,
+    without modes, the first touch. ``kneel_time_s`` [s]: from there until the kneel had been
+    stable for half a second. ``impact_energy`` [J]: ``m |v|^2 / 2`` with v the velocity of the
+    center of mass one control step before anything but the feet touched.
+    ``contact_impulse/REGION`` [N s]: time integral of the floor's force.
 
     Args:
         env: the base env.
@@ -76,6 +77,7 @@ class Kneeling:
         took = torch.where(self.kneeled, self.stable - self.trigger, torch.nan)
         return {
             "kneel_time_s": took,
+            "trigger_s": self.trigger,
             "impact_energy": self.energy,
             **{f"contact_impulse/{r}": self.impulse[:, i] for i, r in enumerate(self.regions)},
         }

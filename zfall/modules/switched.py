@@ -1,7 +1,7 @@
 """Two policies, of which the mode chooses one."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from hydra.utils import instantiate
@@ -60,3 +60,30 @@ def switched_actor(
     """Both policies from their configs; they read the same ``observation``."""
     actors = [instantiate(config, observation_spec, action_spec) for config in (recover, kneel)]
     return SwitchedActor(*actors)
+
+
+class StillActor(TensorDictModuleBase):
+    """Does nothing: as the one that kneels it leaves the way down to the script.
+
+    Keys: reads ``observation`` ``(*B, D)``, writes ``action`` ``(*B, J)``, zeros.
+
+    Args:
+        size: of the action J.
+    """
+
+    in_keys: ClassVar = ["observation"]
+    out_keys: ClassVar = ["action"]
+
+    def __init__(self, size: int):
+        super().__init__()
+        self.size = size
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action."""
+        observation = tensordict["observation"]
+        return tensordict.set("action", observation.new_zeros(*observation.shape[:-1], self.size))
+
+
+def still_actor(observation_spec: Composite, action_spec: Composite) -> StillActor:
+    """For an action of this size."""
+    return StillActor(action_spec.shape[-1])

@@ -8,12 +8,13 @@ import torch
 from tensordict import TensorDict
 from torch.testing import assert_close
 
+from zfall.envs.catches import save_catches
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import KneelReference
 
 KNEEL = torch.tensor(ZEROTH01.kneel_position)
-KNEE = ZEROTH01.joints.index("right_knee_pitch")
+KNEE, LEFT = (ZEROTH01.joints.index(f"{side}_knee_pitch") for side in ("right", "left"))
 
 
 def step(
@@ -55,39 +56,53 @@ def test_targets_stand_in_recover_and_go_to_the_kneel_at_the_speed(make_base):
     assert_close(step(reference, [0, 0], stand), stand)  # back
 
 
-def catch(heading: int) -> torch.Tensor:
-    """The stored pose for a heading [degrees], or the mirror image of the one on the left."""
-    pose = torch.zeros(20)
-    for joint, angle in ZEROTH01.catches[abs(heading)].items():
-        if heading >= 0:
-            pose[ZEROTH01.joints.index(joint)] = angle
-        else:
-            keeps = any(word in joint for word in ZEROTH01.mirror_keeps_sign)
-            pose[ZEROTH01.joints.index(ZEROTH01.mirror[joint])] = angle if keeps else -angle
-    return pose
+@pytest.fixture
+def stored(tmp_path):
+    """Movements of three postures, of which the left knee says [rad]: -sector/10 - posture/100."""
+    postures = torch.zeros(12, 1, 3, 20)
+    postures[..., LEFT] = -torch.arange(12.0)[:, None, None] / 10 - torch.arange(3.0) / 100
+    path = tmp_path / "catches.npz"
+    save_catches(path, postures, torch.tensor([0.08, 0.2, torch.inf]), torch.zeros(0))
+    return str(path)
+
+
+def velocity(degrees: float, facing: float = 0.0, speed: float = 0.5) -> tuple[float, float]:
+    way = math.radians(degrees) + facing
+    return speed * math.cos(way), speed * math.sin(way)
 
 
 @pytest.mark.parametrize(
-    ("degrees", "nearest"),
-    [(0, 0), (20, 0), (-20, 0), (25, 45), (80, 90), (-80, -90), (-50, -45), (-130, -135), (160, 180), (-160, 180)],
-)  # fmt: skip
+    ("degrees", "sector"), [(0, 0), (14, 0), (35, 1), (95, 3), (180, 6), (-30, 11)]
+)
 @pytest.mark.parametrize("facing", [0.0, 2.0])
-def test_the_posture_follows_the_way_it_falls_and_stays(make_base, degrees, nearest, facing):
-    """Headings of the velocity from the robot's own; reversed later, it makes no difference."""
-    env = make_base(num_envs=1)
-    reference = KneelReference(env, speed=1000.0)
+def test_the_movement_follows_the_way_it_falls_and_stays(
+    make_base, stored, degrees, sector, facing
+):
+    """Headings of the velocity from the robot's own; reversed after 0.08 s it makes no difference."""
+    env = make_base(num_envs=1, control_dt=0.04)
+    reference = KneelReference(env, speed=1000.0, catches=stored)
     stand = env.stand_position[None]
     assert_close(step(reference, [1], stand)[0], KNEEL)  # does not move yet
-    heading = math.radians(degrees) + facing
-    falling = (0.5 * math.cos(heading), 0.5 * math.sin(heading))
-    out = step(reference, [1], stand, velocity=falling, facing=facing)[0]
-    assert_close(out, torch.clamp(catch(nearest), *env.joint_range.unbind(-1)))
-    later = step(reference, [1], stand, velocity=(-falling[0], -falling[1]), facing=facing)[0]
-    assert_close(later, out)
+    there, back = velocity(degrees, facing), velocity(degrees + 180, facing)
+    knees = [
+        step(reference, [1], stand, velocity=v, facing=facing)[0, LEFT].item()
+        for v in (there, there, back, back, back, back)
+    ]
+    postures = [0, 0, 1, 1, 1, 2]  # at 0, 0.04, 0.08 ... 0.2 s
+    assert knees == pytest.approx([-sector / 10 - k / 100 for k in postures])
 
 
-@pytest.mark.parametrize("heading", [0, 45, 90, 135, 180, -135, -90, -45])
-def test_the_stored_postures_catch_a_fall_of_their_heading(make_base, heading):
+def test_the_first_steps_may_choose_anew_while_a_push_goes_on(make_base, stored):
+    env = make_base(num_envs=1, control_dt=0.04)
+    reference = KneelReference(env, speed=1000.0, catches=stored)
+    stand = env.stand_position[None]
+    ways = (0, 60, 120)  # at 0, 0.04 and 0.08 s: the last one comes too late
+    knees = [step(reference, [1], stand, velocity=velocity(way))[0, LEFT].item() for way in ways]
+    assert knees == pytest.approx([0.0, -0.2, -0.21])
+
+
+@pytest.mark.parametrize("heading", [0, 60, 120, -120, -60])
+def test_the_stored_movements_catch_a_fall_of_their_heading(make_base, heading):
     """Pushed by I = 0.7 at the torso, without a policy: torso and head stay off the floor."""
     env = make_base(num_envs=1, control_dt=0.04)
     reference = KneelReference(env)
@@ -107,7 +122,7 @@ def test_the_stored_postures_catch_a_fall_of_their_heading(make_base, heading):
         td["push", "wrench"] = wrench
         td = env.step(td)["next"]
         assert (td["contact_force_peak"][0, region] == 0).all(), k
-    assert td["com_position"][0, 2] < 0.7 * env.robot.com_height
+    assert td["com_position"][0, 2] < 0.75 * env.robot.com_height
     assert td["base_linear_velocity"].norm() < 0.1
 
 
@@ -127,12 +142,14 @@ def test_a_reset_begins_from_standing_in_its_rows_alone(make_base):
     stand = env.stand_position.expand(2, -1)
     step(reference, [1, 1], stand, velocity=(-0.5, 0.0))
     before = reference.way.clone()
-    assert reference.choice.tolist() == [4, 4]  # straight back
+    assert reference.choice.tolist() == [12, 12]  # straight back, the slower of two
+    assert reference.clock.tolist() == [1, 1]
     rows = TensorDict({"_reset": torch.tensor([[False], [True]])}, batch_size=[2])
     reference._reset(rows, TensorDict(batch_size=[2]))
     assert torch.equal(reference.way[0], before[0])
     assert torch.equal(reference.way[1], stand[1])
-    assert reference.choice.tolist() == [4, 8]
+    assert reference.choice.tolist() == [12, reference.none]
+    assert reference.clock.tolist() == [1, 0]
 
 
 def test_commands_made_before_it_are_refused(make_base):
@@ -145,9 +162,9 @@ def test_commands_made_before_it_are_refused(make_base):
 def test_bad_values_are_refused(make_base):
     with pytest.raises(ValueError, match="speed must be positive, got 0"):
         KneelReference(make_base(), speed=0.0)
-    robot = dataclasses.replace(ZEROTH01, catches={})
+    with pytest.raises(ValueError, match="catches must be a file that recipes.catches wrote"):
+        KneelReference(make_base(), catches="nowhere.npz")
+    robot = dataclasses.replace(ZEROTH01, kneel={})
     env = HumanoidEnv(num_envs=1, robot=robot, control_dt=0.04, physics_dt=0.004)
-    with pytest.raises(
-        ValueError, match="needs a robot with a kneel and catches for .* zeroth01 has"
-    ):
+    with pytest.raises(ValueError, match="needs a robot with a kneel; zeroth01 has none"):
         KneelReference(env)

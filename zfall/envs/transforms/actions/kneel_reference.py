@@ -1,29 +1,30 @@
 """The pose around which a policy acts while it kneels."""
 
+from pathlib import Path
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Transform
 
+from zfall.envs.catches import load_catches
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import turn_to_heading
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.starts import reset_rows
 
-SECTORS = 8  # headings of a fall, the first straight ahead, the others to the left of it
-
 
 class KneelReference(Transform):
-    """Moves the reference of the targets to a safe posture once the robot is to kneel.
+    """Moves the reference of the targets along a safe way down once the robot is to kneel.
 
     ``target = clamp(target + way - stand, joint range)``: ``way`` is the standing pose in mode
-    RECOVER, from where in the other modes every joint goes to a posture at ``speed``. A policy
-    that does nothing so kneels by script; one that learns corrects the script, by as much as the
-    target before it, which the joint ranges bound too, leaves. The postures are not symmetric:
-    what mirrors actions (``symmetry``) does not fit.
+    RECOVER; in the other modes every joint goes at ``speed`` through the postures of a movement.
+    A policy that does nothing so kneels by script; one that learns corrects the script, by as much
+    as the target before it, which the joint ranges bound too, leaves.
 
     The posture is the robot's kneel until the center of mass moves faster than ``moving`` along
-    the ground; then once and for all that of ``Robot.catches`` for the nearest heading.
+    the ground; then the movement begins that ``recipes.catches`` found for falls of the nearest
+    heading and speed. For ``settle`` the choice is made anew, since a push may not be over.
 
     Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
     sensing wrote it; changes ``target`` ``(N, J)`` [rad]. Comes after ``JointPositionTarget``.
@@ -31,35 +32,48 @@ class KneelReference(Transform):
     Args:
         env: the base env.
         speed: of each joint [rad/s].
-        moving: speed of the center of mass at which the posture is chosen [m/s].
+        moving: speed of the center of mass at which the movement begins [m/s].
+        settle: time in which it may become another one [s].
+        catches: file of the movements; ``None``: that of the robot.
 
     Raises:
-        ValueError: if the robot has no kneel or catches no falls, or a number is not positive.
+        ValueError: if the robot has no kneel, there are no catches, or a number is not positive.
     """
 
     way: Tensor
     choice: Tensor
+    clock: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, speed: float = 6.0, moving: float = 0.3):
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        speed: float = 6.0,
+        moving: float = 0.3,
+        settle: float = 0.06,
+        catches: str | None = None,
+    ):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
         robot = env.robot
-        if not robot.kneel or sorted(robot.catches) != list(range(0, 181, 360 // SECTORS)):
-            raise ValueError(
-                "KneelReference needs a robot with a kneel and catches for headings of 0, 45, 90, "
-                f"135 and 180 degrees; {robot.name} has {sorted(robot.catches)}."
-            )
-        for name, value in (("speed", speed), ("moving", moving)):
+        if not robot.kneel:
+            raise ValueError(f"KneelReference needs a robot with a kneel; {robot.name} has none.")
+        for name, value in (("speed", speed), ("moving", moving), ("settle", settle)):
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}.")
-        self.speed, self.moving = speed, moving
+        self.speed, self.moving, self.settle = speed, moving, settle
         self.control_dt, self.stand, self.range = (
             env.control_dt,
             env.stand_position,
             env.joint_range,
         )
-        self.postures = torch.tensor([*robot.catch_positions, robot.kneel_position])
+        self.catches = load_catches(robot, None if catches is None else Path(catches))
+        movements = self.catches.postures.flatten(0, 1)
+        kneel = torch.tensor(robot.kneel_position).expand(1, movements.shape[1], -1)
+        self.movements = torch.cat([movements, kneel])
+        self.none = len(movements)  # where the kneel stands, for who does not move yet
         self.register_buffer("way", env.stand_position.repeat(env.num_envs, 1))
-        self.register_buffer("choice", torch.full((env.num_envs,), SECTORS))
+        self.register_buffer("choice", torch.full((env.num_envs,), self.none))
+        self.register_buffer("clock", torch.zeros(env.num_envs, dtype=torch.long))  # [steps]
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         mode = tensordict.get("mode", None)
@@ -73,13 +87,19 @@ class KneelReference(Transform):
         recover = mode[:, 0] > 0
         velocity = read_measured(tensordict, "com_velocity")[:, :2]
         x, y = turn_to_heading(tensordict["base_orientation"], velocity).unbind(-1)
-        sector = (torch.atan2(y, x) * (SECTORS / (2.0 * torch.pi))).round().long() % SECTORS
-        chosen = (self.choice == SECTORS) & (torch.hypot(x, y) > self.moving)
-        choice = torch.where(chosen, sector, self.choice)
-        self.choice = torch.where(recover, SECTORS, choice)
+        open_still = (self.choice == self.none) | (self.clock * self.control_dt < self.settle)
+        chosen = open_still & (torch.hypot(x, y) > self.moving)
+        choice = torch.where(chosen, self.catches.nearest(x, y), self.choice)
+        self.choice = torch.where(recover, self.none, choice)
+        waits = self.choice == self.none
+        clock = torch.where(waits, 0, self.clock)
+        phase = torch.bucketize(clock * self.control_dt + 1e-6, self.catches.until, right=True)
         reach = self.speed * self.control_dt
-        further = self.way + (self.postures[self.choice] - self.way).clamp(-reach, reach)
-        self.way = torch.where(recover[:, None], self.stand, further)
+        further = self.movements[self.choice, phase] - self.way
+        self.way = torch.where(
+            recover[:, None], self.stand, self.way + further.clamp(-reach, reach)
+        )
+        self.clock = torch.where(waits, 0, clock + 1)
         target = tensordict["target"] + self.way - self.stand
         return tensordict.set("target", torch.clamp(target, *self.range.unbind(-1)))
 
@@ -88,5 +108,6 @@ class KneelReference(Transform):
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
         self.way = torch.where(rows[:, None], self.stand, self.way)
-        self.choice = torch.where(rows, SECTORS, self.choice)
+        self.choice = torch.where(rows, self.none, self.choice)
+        self.clock = torch.where(rows, 0, self.clock)
         return tensordict_reset

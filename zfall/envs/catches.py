@@ -1,0 +1,62 @@
+"""Movements that catch a fall, and where they are stored."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from zfall.envs.robots import Robot
+
+HEADINGS = tuple(range(0, 360, 30))  # [degrees], first straight ahead, then by the left
+
+
+class Catches(NamedTuple):
+    """Targets to go through, by the heading and the speed of the fall.
+
+    postures: ``(H, B, K, J)`` [rad]: for each of ``HEADINGS``, B bins of speed, K postures one
+        after the other. No robot is quite symmetric, so left and right have their own.
+    until: when each posture ends, counted from the begin ``(K,)`` [s]; the last never does.
+    speeds: of the center of mass along the ground, between the bins ``(B - 1,)`` [m/s].
+    """
+
+    postures: Tensor
+    until: Tensor
+    speeds: Tensor
+
+    def nearest(self, x: Tensor, y: Tensor) -> Tensor:
+        """Which movement, of ``sectors x bins``, is for a velocity in the robot's heading [m/s]."""
+        sectors = len(self.postures)
+        sector = (torch.atan2(y, x) * (sectors / (2.0 * torch.pi))).round().long() % sectors
+        speed = torch.bucketize(torch.hypot(x, y), self.speeds)
+        return sector * self.postures.shape[1] + speed
+
+
+def catches_path(robot: Robot) -> Path:
+    """The file of a robot's catches, beside its MJCF."""
+    return Path(robot.mjcf).with_name(f"{robot.name}_catches.npz")
+
+
+def load_catches(robot: Robot, path: Path | None = None) -> Catches:
+    """What ``save_catches`` wrote, of the robot itself if no path is given.
+
+    Raises:
+        ValueError: if there is no such file, or it is of another robot.
+    """
+    path = path or catches_path(robot)
+    if not path.is_file():
+        raise ValueError(f"catches must be a file that recipes.catches wrote, there is no {path}.")
+    with np.load(path) as file:
+        postures, until, speeds = (
+            torch.from_numpy(file[k]).float() for k in ("postures", "until", "speeds")
+        )
+    if (postures.shape[0], postures.shape[-1]) != (len(HEADINGS), len(robot.joints)):
+        raise ValueError(f"catches must be of {robot.name}, {path} has other joints or headings.")
+    return Catches(postures, until, speeds)
+
+
+def save_catches(path: Path, postures: Tensor, until: Tensor, speeds: Tensor) -> None:
+    """Writes what ``load_catches`` reads, see ``Catches``."""
+    arrays = {"postures": postures, "until": until, "speeds": speeds}
+    np.savez_compressed(path, **{key: value.float().numpy() for key, value in arrays.items()})
