@@ -58,5 +58,9 @@ def load_catches(robot: Robot, path: Path | None = None) -> Catches:
 
 def save_catches(path: Path, postures: Tensor, until: Tensor, speeds: Tensor) -> None:
     """Writes what ``load_catches`` reads, see ``Catches``."""
-    arrays = {"postures": postures, "until": until, "speeds": speeds}
-    np.savez_compressed(path, **{key: value.float().numpy() for key, value in arrays.items()})
+    np.savez_compressed(
+        path,
+        postures=postures.float().numpy(),
+        until=until.float().numpy(),
+        speeds=speeds.float().numpy(),
+    )
