@@ -220,6 +220,8 @@ def test_partial_reset_equals_full_reset_on_its_rows(table, mask, seed):
     seen = [run(one, td, 4, seed)[0] for one, td in zip((env, other), starts, strict=True)]
     for one, two in zip(*seen, strict=True):
         equal(one, two, rows)
+        if not torch.equal(one["done"], two["done"]):
+            break  # one has drawn for a reset that the other does not have
 
 
 @settings(max_examples=10, deadline=None, derandomize=True)
