@@ -47,6 +47,8 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_keys(cfg, KEYS)
         env_cfg, actor = load_run(cfg, cfg.run)
+        if cfg.times is None and env_cfg.transforms.get("mode") is None:
+            raise ValueError(f"times=null needs a policy that kneels, {cfg.run} has no modes.")
     battery = load_battery(
         "envelope",  # which may push at several points
         point=list(cfg.points),
@@ -74,8 +76,9 @@ def main(cfg: DictConfig) -> None:
         fell |= body_contact(td, td).squeeze(-1)
         since_push = step * base.control_dt - battery.push_time
         if cfg.times is None:
-            kept = (td["mode"][:, KNEEL] > 0) & ~given_up & (since_push > 1e-6)
-            given_up |= kept
+            now_kneels = td["mode"][:, KNEEL] > 0
+            kept = now_kneels & ~given_up & (since_push > 1e-6)
+            given_up |= now_kneels
         else:
             now = any(abs(since_push - time) < 0.5 * base.control_dt for time in cfg.times)
             kept = torch.full_like(fell, now)
@@ -86,6 +89,8 @@ def main(cfg: DictConfig) -> None:
             [*(td[key] for key in STATE_KEYS), pushing * (remains > 1e-6), remains], -1
         )
         moments.append(torch.where((kept & ~fell)[:, None], state, torch.nan))
+    if not moments:
+        raise SystemExit("error: no state was recorded: no push made it give up, or no times fit.")
     states = torch.stack(moments, 1)[: len(trials)]
     if cfg.times is not None:  # the machine gave up what might have stood
         states = states[fell[: len(trials)]]

@@ -47,9 +47,9 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
     last = configs[names[-1]].env
     env_cfg.base_env = last.base_env
-    for name in (*INTERFACE, "kneel_reference", "mode"):
-        if name in last.transforms:  # a policy that only recovers has no modes
-            env_cfg.transforms[name] = last.transforms.get(name)
+    own = ("kneel_reference", "mode") if "kneel" in names else ()  # recovering alone needs none
+    for name in (*INTERFACE, *own):
+        env_cfg.transforms[name] = last.transforms.get(name)
     env_cfg.transforms.mode.initial = "recover"
     env_cfg = changed(env_cfg, cfg.change)
     env = instantiate(env_cfg, base_env={"num_envs": 1})

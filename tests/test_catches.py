@@ -110,9 +110,8 @@ def test_the_search_finds_what_its_score_asks_for(make_base, monkeypatch):
 
     monkeypatch.setattr(catches, "caught", known)
     cfg = OmegaConf.merge(CONFIG, {"candidates": 64, "elite": 8, "rounds": 12})
-    found, scores = search(falls, torch.arange(10), env.stand_position.repeat(3, 1), cfg)
+    found = search(falls, torch.arange(10), env.stand_position.repeat(3, 1), cfg)
     assert found[1, 2].item() == pytest.approx(-0.9, abs=0.03)
-    assert scores.min() > -0.05
     low, high = env.joint_range.unbind(-1)
     assert ((found >= low) & (found <= high)).all()
 
@@ -121,9 +120,11 @@ def test_recipe_writes_a_file_that_can_be_loaded(tmp_path):
     small = ["candidates=4", "trials=1", "elite=2", "rounds=1", f"hydra.run.dir={tmp_path}"]
     done = run("catches", f"falls={BANK}", *small)
     assert done.returncode == 0, done.stderr
-    assert "330 degrees, from 1.65 m/s: of " in done.stdout
+    assert "330 degrees, from 1.65 m/s: " in done.stdout
     found = load_catches(ZEROTH01, tmp_path / "catches.npz")
     assert found.postures.shape == (12, 2, 5, 20)
+    known = load_catches(ZEROTH01).postures  # one round of four candidates seldom beats it
+    assert (found.postures == known).all(-1).all(-1).float().mean() > 0.5
     bad = run("catches", f"falls={tmp_path}/none.npz")
     assert bad.returncode != 0
     assert "falls must be a file that recipes.falls wrote" in bad.stderr + bad.stdout

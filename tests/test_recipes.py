@@ -465,6 +465,8 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     assert done.returncode == 0, done.stderr
     done = run("switch", both[0], "kneel=script", f"hydra.run.dir={tmp_path}/script")
     assert done.returncode == 0, done.stderr
+    config = checkpoint.load(tmp_path / "script" / "checkpoints" / "last.pt")["config"]
+    assert OmegaConf.create(config).env.transforms.mode.hold == 0.2  # not the 100 s of its phase A
     done = run("evaluate", f"run={tmp_path}/script", *kneel, "end_time=1.5")
     assert done.returncode == 0, done.stderr
     keys = "env.transforms.observation.keys=[projected_gravity,joint_position,joint_velocity]"

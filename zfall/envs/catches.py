@@ -29,7 +29,7 @@ class Catches(NamedTuple):
         """Which movement, of ``sectors x bins``, is for a velocity in the robot's heading [m/s]."""
         sectors = len(self.postures)
         sector = (torch.atan2(y, x) * (sectors / (2.0 * torch.pi))).round().long() % sectors
-        speed = torch.bucketize(torch.hypot(x, y), self.speeds)
+        speed = torch.bucketize(torch.hypot(x, y), self.speeds, right=True)
         return sector * self.postures.shape[1] + speed
 
 
@@ -53,6 +53,8 @@ def load_catches(robot: Robot, path: Path | None = None) -> Catches:
         )
     if (postures.shape[0], postures.shape[-1]) != (len(HEADINGS), len(robot.joints)):
         raise ValueError(f"catches must be of {robot.name}, {path} has other joints or headings.")
+    if postures.shape[1:3] != (len(speeds) + 1, len(until)) or not until[-1].isinf():
+        raise ValueError(f"catches must have a bin for all speeds and times, {path} has not.")
     return Catches(postures, until, speeds)
 
 

@@ -184,7 +184,8 @@ class FallingStart(Transform):
     """Starts episodes in the midst of falls, states recorded from a policy that was pushed.
 
     Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
-    others begin as what comes before it in the table says. ``python -m recipes.falls`` records.
+    others begin as what comes before it in the table says. ``python -m recipes.falls`` records;
+    what is left of a push at that moment does not go on.
 
     Args:
         env: the base env.

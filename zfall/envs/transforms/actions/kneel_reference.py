@@ -87,7 +87,9 @@ class KneelReference(Transform):
         recover = mode[:, 0] > 0
         velocity = read_measured(tensordict, "com_velocity")[:, :2]
         x, y = turn_to_heading(tensordict["base_orientation"], velocity).unbind(-1)
-        open_still = (self.choice == self.none) | (self.clock * self.control_dt < self.settle)
+        open_still = (self.choice == self.none) | (
+            self.clock * self.control_dt < self.settle - 1e-6
+        )
         chosen = open_still & (torch.hypot(x, y) > self.moving)
         choice = torch.where(chosen, self.catches.nearest(x, y), self.choice)
         self.choice = torch.where(recover, self.none, choice)
