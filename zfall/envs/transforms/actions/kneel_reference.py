@@ -1,4 +1,4 @@
-"""The pose around which a policy acts while it kneels."""
+"""The way down around which a policy acts while it kneels."""
 
 from pathlib import Path
 
@@ -24,7 +24,8 @@ class KneelReference(Transform):
 
     The posture is the robot's kneel until the center of mass moves faster than ``moving`` along
     the ground; then the movement begins that ``recipes.catches`` found for falls of the nearest
-    heading and speed. For ``settle`` the choice is made anew, since a push may not be over.
+    heading and speed. For ``settle`` the choice is made anew, since a push may not be over. Left
+    and right have their own: what mirrors actions (``symmetry``) fits but roughly.
 
     Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
     sensing wrote it; changes ``target`` ``(N, J)`` [rad]. Comes after ``JointPositionTarget``.

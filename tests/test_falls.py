@@ -1,0 +1,40 @@
+"""The recorded midst of falls."""
+
+import numpy as np
+import pytest
+
+from tests.test_recipes import run
+from zfall.envs.robots import ZEROTH01
+
+FORCE = 1.5 * ZEROTH01.impulse_unit / 0.1  # [N]
+HARD = ["points=[torso]", "impulses=[1.5]", "starts=1"]  # 24 directions
+
+
+def test_states_at_given_times_and_what_is_left_of_the_push(tmp_path):
+    """Of 0.1 s are left 0.02 s after 0.08 s, nothing after 0.12 s; nobody withstands it."""
+    done = run("falls", "run=pose_hold", *HARD, "times=[0.08,0.12]", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "falls.npz") as falls:
+        left, force = falls["push_left"][:, 0], np.linalg.norm(falls["push_force"], axis=1)
+    assert len(left) == 48
+    assert sorted(left) == pytest.approx([0.0] * 24 + [0.02] * 24, abs=1e-6)
+    assert force[left > 0.01] == pytest.approx(FORCE, rel=1e-5)
+    assert (force[left < 0.01] == 0.0).all()
+
+
+def test_states_at_the_trigger_of_a_policy_that_kneels(tmp_path):
+    """Once for each push, while it goes on or after it."""
+    done = run("falls", "run=kneel", *HARD, "times=null", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "falls.npz") as falls:
+        left, position = falls["push_left"][:, 0], falls["base_position"]
+    assert 20 <= len(left) <= 24
+    assert (left > 0.01).sum() >= 12  # it gives up before such a push is over
+    assert {round(float(time), 2) for time in left} <= {0.0, 0.02, 0.06}
+    assert (position[:, :2] == 0.0).all()
+
+
+def test_a_policy_without_modes_has_no_trigger(tmp_path):
+    done = run("falls", "run=pose_hold", *HARD, "times=null", f"hydra.run.dir={tmp_path}")
+    assert done.returncode != 0
+    assert "times=null needs a policy that kneels, pose_hold has no modes" in done.stderr
