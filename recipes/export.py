@@ -2,6 +2,7 @@
 
 ``policy.onnx`` takes ``observation`` (and ``memory``) and gives ``action`` (and ``next_memory``);
 ``policy.json`` says what they mean. docs/drive.py runs both with onnxruntime and MuJoCo alone.
+``planar=5`` puts the exported policy to battery planar, in dm_control, beside the policy itself.
 """
 
 import json
@@ -14,15 +15,17 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from rich.progress import Progress, TimeElapsedColumn
 from torchrl.envs import TransformedEnv
 
+from recipes.exported import OnnxPolicy, agreement, run_exported
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import load_run
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationVector
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.envs.transforms.pushes import ScriptedPush
-from zfall.evaluation.battery import battery_env
+from zfall.evaluation.battery import battery_env, run_battery
 from zfall.evaluation.definitions import load_battery
 from zfall.modules.deployed import deployed, zero_memory
 
@@ -40,7 +43,9 @@ def main(cfg: DictConfig) -> None:
     """Writes ``policy.onnx`` and ``policy.json``."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors():
-        check_keys(cfg, {"run", "checkpoint", "change", "env"})
+        check_keys(cfg, {"run", "checkpoint", "change", "env", "planar"})
+        if cfg.planar is not None and cfg.planar < 1:
+            raise ValueError(f"planar must be at least one start per cell, got {cfg.planar}.")
         env_cfg, actor = load_run(cfg, cfg.run)
         if actor is None:
             raise ValueError(f"run must hold a policy, {cfg.run} is a baseline.")
@@ -49,6 +54,30 @@ def main(cfg: DictConfig) -> None:
         export(actor, folder / "policy.onnx", size=about["observation_size"])
     (folder / "policy.json").write_text(json.dumps(about, indent=2))
     print(f"wrote {folder}/policy.onnx, policy.json")
+    if cfg.planar is not None:
+        compare_planar(cfg.planar, env_cfg, actor, folder, about["memory_shape"])
+
+
+def compare_planar(
+    starts: int, env_cfg: DictConfig, actor: Any, folder: Path, memory_shape: list[int] | None
+) -> None:
+    """Runs battery planar with what was exported and with the policy; writes ``planar.csv``."""
+    policy, battery = (
+        OnnxPolicy(folder / "policy.onnx", memory_shape),
+        load_battery("planar", starts=starts),
+    )
+    with one_line_errors(), Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
+        task = bar.add_task("onnxruntime and dm_control")
+        exported = run_exported(
+            battery,
+            env_cfg,
+            policy,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    own = run_battery(battery, env_cfg, actor)
+    exported.assign(recovered_in_zfall=own["recovered"]).to_csv(folder / "planar.csv", index=False)
+    print(agreement(battery, exported, own))
+    print(f"wrote {folder}/planar.csv")
 
 
 def export(actor: Any, path: Path, *, size: int) -> None:

@@ -1,5 +1,6 @@
 """Recipes from the shell: they run, write their files, and refuse bad input in one line."""
 
+import gc
 import importlib
 import io
 import json
@@ -19,6 +20,7 @@ from omegaconf import OmegaConf
 
 from recipes.one_line import start
 from recipes.tested import keep
+from recipes.train import garbage_collector_of_new_things
 from zfall import checkpoint
 from zfall.envs.make import left_out
 
@@ -491,3 +493,16 @@ def test_a_scripted_kneel_needs_modes(tmp_path):
     assert run("evaluate", "run=scripted_kneel", *own, null).returncode != 0
     bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
     assert "scripted_kneel needs an env with modes" in bad.stderr
+
+
+def test_the_garbage_collector_spares_what_was_there_and_takes_it_back():
+    def fail_amid_it():
+        with garbage_collector_of_new_things():
+            spared.append(gc.get_freeze_count())
+            raise InterruptedError
+
+    spared: list[int] = []
+    with pytest.raises(InterruptedError):
+        fail_amid_it()
+    assert spared[0] > 10_000  # all of torch, for one
+    assert gc.get_freeze_count() == 0

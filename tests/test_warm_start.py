@@ -8,6 +8,7 @@ from torch.testing import assert_close
 from recipes.learner import Learner
 from recipes.tested import load_run
 from recipes.warm_start import warm_start
+from tests.test_recipes import TINY, run
 from zfall import checkpoint
 
 
@@ -55,3 +56,20 @@ def test_a_policy_that_does_not_fit_is_refused(trained, compose_config, given, m
     learner = Learner(compose_config("num_envs=8", "rollout_steps=2", given))
     with pytest.raises(ValueError, match=message):
         warm_start(learner, str(trained))
+
+
+def test_from_the_shell_the_training_starts_where_that_run_ended(tmp_path):
+    """Steps of length 0 leave the weights where they began: those of the first run."""
+    assert run("train", *TINY, f"hydra.run.dir={tmp_path}/first").returncode == 0
+    still = ["optimizer.lr=0.0", "scheduler=null", "averaging=0.0", "seed=3"]
+    begun = [f"warm_start={tmp_path}/first", f"hydra.run.dir={tmp_path}/second"]
+    done = run("train", *TINY, *still, *begun)
+    assert done.returncode == 0, done.stderr
+    first, second = (
+        checkpoint.load(tmp_path / name / "checkpoints" / "last.pt")["policy"]
+        for name in ("first", "second")
+    )
+    weights = [key for key in first if key.endswith(("weight", "bias"))]
+    assert len(weights) >= 6
+    for key in weights:
+        assert_close(second[key], first[key], rtol=0, atol=0)

@@ -115,18 +115,19 @@ class TableTask(control.Task):
 
     def get_observation(self, physics: Physics) -> dict[str, NDArray[np.float32]]:
         """The table's ``observation`` ``(D,)``, after the step or the reset."""
-        return {"observation": self._outcome["observation"][0].numpy().copy()}
+        return {"observation": self.outcome["observation"][0].numpy().copy()}
 
     def get_reward(self, physics: Physics) -> float:
         """Reward of the step just taken."""
-        return self._outcome["reward"].item()
+        return self.outcome["reward"].item()
 
     def get_termination(self, physics: Physics) -> float | None:
         """0 where the episode has terminated, 1 where it was truncated, else nothing."""
-        if self._outcome["terminated"].item():
+        if self.outcome["terminated"].item():
             return 0.0
-        return 1.0 if self._outcome["truncated"].item() else None
+        return 1.0 if self.outcome["truncated"].item() else None
 
     @property
-    def _outcome(self) -> TensorDictBase:
+    def outcome(self) -> TensorDictBase:
+        """All that the TorchRL env gave after the step or the reset, for its one world."""
         return self._td.get("next", self._td)
