@@ -4,12 +4,13 @@ For each of twelve headings and some speeds, falls that ``recipes.falls`` record
 the torso go on with the joints going through a few postures, without a policy. The best of many
 movements are kept and varied, again and again (cross-entropy method, Rubinstein 1999), each tried
 on other falls every time. Good is what comes to rest with torso and head never on the floor,
-better upright on a knee or shin. Goes on from what the robot has, and keeps that where it is
-better; takes half an hour.
+better upright on a knee or shin, and what lands softly, on torso or head if it must. Goes on from
+what the robot has, and keeps that where it is better; takes an hour.
 """
 
 from itertools import pairwise, product
 from pathlib import Path
+from typing import NamedTuple
 
 import hydra
 import numpy as np
@@ -24,10 +25,23 @@ from recipes.one_line import check_keys, one_line_errors, start
 from zfall.envs.catches import HEADINGS, catches_path, load_catches, save_catches
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.envs.rotations import turn_to_heading
-from zfall.envs.terms.kneel import resting_kneel, touching
+from zfall.envs.terms.kneel import resting_kneel
 
 END, SPEED = 1.5, 6.0  # of a trial [s]; of each joint, as that of KneelReference [rad/s]
-KEYS = {"falls", "speeds", "until", "candidates", "trials", "elite", "rounds", "spread", "seed"}
+AFTER = 0.3  # for which a trial goes on once torso or head touched: what counts is over then [s]
+FORCE, ACCELERATION = 1200.0, 400.0  # worst that a score tells apart [N, m/s2]
+KEYS = {
+    "falls",
+    "headings",
+    "speeds",
+    "until",
+    "candidates",
+    "trials",
+    "elite",
+    "rounds",
+    "spread",
+    "seed",
+}
 
 
 class Falls:
@@ -77,49 +91,75 @@ class Falls:
         return ((off.abs() <= 15.0) & (self.speed >= low) & (self.speed < high)).nonzero()[:, 0]
 
 
-def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> tuple[Tensor, ...]:
-    """Of movements ``(N, K, J)``, each on its fall: at rest, kneeling, untouched, upright.
+class Landing(NamedTuple):
+    """How falls ended, each ``(N,)``.
 
-    The third is the share of the time until torso or head first touched the floor; the others are
-    at the end, and count for nothing if they ever did. The last is the cosine of the tilt.
+    safe: at rest, torso and head never on the floor.
+    kneels: in a ``resting_kneel``, torso and head never on the floor.
+    lasted: share of the time until one of them first touched it.
+    upright: cosine of the tilt at the end, 0 if one of them ever did.
+    force: largest of the floor on torso or head [N].
+    acceleration: largest of the base [m/s2].
     """
-    env = falls.env
+
+    safe: Tensor
+    kneels: Tensor
+    lasted: Tensor
+    upright: Tensor
+    force: Tensor
+    acceleration: Tensor
+
+    @property
+    def score(self) -> Tensor:
+        """How good it is ``(N,)``, at most 9."""
+        soft = 2.0 - (self.force / FORCE).clamp(max=1.0) * 2.0
+        soft += 2.0 - (self.acceleration / ACCELERATION).clamp(max=1.0) * 2.0
+        return self.safe.float() + 2.0 * self.kneels.float() + self.lasted + self.upright + soft
+
+
+def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> Landing:
+    """What becomes of falls with movements ``(N, K, J)``, each on its own."""
+    env, count = falls.env, len(rows)
     falls.begin(rows)
-    way = env.stand_position.repeat(len(rows), 1)
+    way = env.stand_position.repeat(count, 1)
     reach = SPEED * env.control_dt
-    untouched = torch.ones(len(rows), dtype=torch.bool)
-    lasted, steps = torch.zeros(len(rows)), round(END / env.control_dt)
+    struck = [env.regions.index(region) for region in ("torso", "head")]
+    lasted, force, acceleration = torch.zeros(3, count)
+    since, steps = torch.zeros(count), round(END / env.control_dt)
     for step in range(steps):
         phase = int((until <= step * env.control_dt + 1e-6).sum())
         way = way + (postures[:, phase] - way).clamp(-reach, reach)
-        td = TensorDict({"target": way}, batch_size=[len(rows)])
+        td = TensorDict({"target": way}, batch_size=[count])
         wrench = falls.wrench(rows, step * env.control_dt)
         if wrench is not None:
             td["push", "wrench"] = wrench
         td = env.step(td)["next"]
-        untouched &= ~(touching(td, env.robot, "torso", "head") | td["diverged"]).squeeze(-1)
-        lasted += untouched / steps
-        env.simulation.step_only(untouched)
-        if not untouched.any():
+        counted = since < AFTER
+        peaks = td["contact_force_peak"][:, struck].amax(-1), td["base_acceleration_peak"][:, 0]
+        force = torch.where(counted, torch.maximum(force, peaks[0]), force)
+        acceleration = torch.where(counted, torch.maximum(acceleration, peaks[1]), acceleration)
+        touched = (since > 0) | (force > 0) | td["diverged"].squeeze(-1)
+        since += touched * env.control_dt
+        lasted += ~touched / steps
+        env.simulation.step_only(since < AFTER)
+        if not (since < AFTER).any():
             break
     env.simulation.step_only(None)
     still = td["base_linear_velocity"].norm(dim=-1) < 0.1
     still &= td["base_angular_velocity"].norm(dim=-1) < 0.1
     kneels = resting_kneel(td, td, robot=env.robot).squeeze(-1)
+    untouched = since == 0.0
     upright = untouched * -td["projected_gravity"][:, 2]
-    return untouched & still, untouched & kneels, lasted, upright
+    return Landing(untouched & still, untouched & kneels, lasted, upright, force, acceleration)
 
 
-def score(safe: Tensor, kneels: Tensor, lasted: Tensor, upright: Tensor) -> Tensor:
-    """How good an outcome is, at most 5."""
-    return safe.float() + 2.0 * kneels.float() + lasted + upright
-
-
-def outcome(falls: Falls, rows: Tensor, move: Tensor, until: Tensor) -> tuple[float, float]:
-    """Mean score, and share of kneels, of one movement ``(K, J)`` on all these falls."""
+def outcome(falls: Falls, rows: Tensor, move: Tensor, until: Tensor) -> tuple[float, str]:
+    """Mean score of one movement ``(K, J)`` on all these falls, and what becomes of them."""
     some = rows[torch.arange(falls.env.num_envs) % len(rows)]
-    results = caught(falls, some, move.expand(len(some), -1, -1), until)
-    return score(*results).mean().item(), results[1].float().mean().item()
+    landing = caught(falls, some, move.expand(len(some), -1, -1), until)
+    kneels, force = landing.kneels.float().mean(), landing.force.mean()
+    text = f"{kneels:.2f} kneel, {force:.0f} N, {landing.acceleration.mean():.0f} m/s2"
+    return landing.score.mean().item(), text
 
 
 def search(falls: Falls, rows: Tensor, mean: Tensor, cfg: DictConfig) -> Tensor:
@@ -140,10 +180,10 @@ def search(falls: Falls, rows: Tensor, mean: Tensor, cfg: DictConfig) -> Tensor:
         moves = (mean + std * noise).clamp(low, high)
         moves[: len(kept)] = kept
         tried = rows[torch.randint(len(rows), (cfg.trials,), generator=generator)]
-        results = caught(
+        landing = caught(
             falls, tried.repeat(cfg.candidates), moves.repeat_interleave(cfg.trials, 0), until
         )
-        best = score(*results).view(cfg.candidates, cfg.trials).mean(1).topk(cfg.elite)
+        best = landing.score.view(cfg.candidates, cfg.trials).mean(1).topk(cfg.elite)
         kept = moves[best.indices]
         mean, std = kept.mean(0), 0.9 * kept.std(0) + 0.02
     return mean
@@ -157,6 +197,9 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         if not 2 <= cfg.elite <= cfg.candidates:
             raise ValueError(f"elite must lie in [2, candidates], got {cfg.elite}.")
+        unknown = sorted(set(cfg.headings) - set(HEADINGS))
+        if unknown:
+            raise ValueError(f"headings must be of 0, 30, ... 330 degrees, got {unknown[0]}.")
         for name in ("until", "speeds"):
             if sorted(cfg[name]) != list(cfg[name]):
                 raise ValueError(f"{name} must rise, got {list(cfg[name])}.")
@@ -174,7 +217,8 @@ def main(cfg: DictConfig) -> None:
         found[:] = known.postures[:, of_bin][:, :, of_time]
     path = Path(HydraConfig.get().runtime.output_dir) / "catches.npz"
     save_catches(path, found, until, torch.tensor(list(cfg.speeds)))
-    for (i, heading), (j, (low, high)) in product(enumerate(HEADINGS), bins):
+    for heading, (j, (low, high)) in product(cfg.headings, bins):
+        i = HEADINGS.index(heading)
         rows = falls.like(heading, low, high)
         if len(rows) < cfg.trials:
             console.print(f"{heading} degrees, from {low} m/s: {len(rows)} falls, left as is")
@@ -187,7 +231,7 @@ def main(cfg: DictConfig) -> None:
             save_catches(path, found, until, torch.tensor(list(cfg.speeds)))
         console.print(
             f"{heading} degrees, from {low} m/s: {len(rows)} falls, "
-            "kneeling {:.2f} before, {:.2f} after".format(before[1], after[1]),
+            f"before {before[1]}; after {after[1]}",
             soft_wrap=True,
         )
     console.print(f"wrote {path}")

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from torch.testing import assert_close
 
 from recipes import catches
-from recipes.catches import Falls, caught, search
+from recipes.catches import Falls, Landing, caught, search
 from tests.test_recipes import run
 from zfall.envs.catches import catches_path, load_catches
 from zfall.envs.humanoid import STATE_KEYS
@@ -81,7 +81,7 @@ def test_stored_movements_catch_falls_that_standing_does_not(make_base, heading)
     rows = rows[torch.arange(16) % len(rows)].repeat(2)
     stand = env.stand_position.expand(16, known.postures.shape[2], -1)
     moves = torch.cat([known.postures[heading // 30, 0].expand(16, -1, -1), stand])
-    safe, kneels, lasted, upright = caught(falls, rows, moves, known.until)
+    safe, kneels, lasted, upright, force, acceleration = caught(falls, rows, moves, known.until)
     assert kneels[:16].float().mean() >= 0.5
     assert not kneels[16:].any()
     assert not safe[16:].any()
@@ -89,6 +89,23 @@ def test_stored_movements_catch_falls_that_standing_does_not(make_base, heading)
     assert (lasted[16:] < 0.999).all()
     assert (upright[16:] == 0).all()
     assert (upright[kneels] > math.cos(0.6)).all()  # as upright as a kneel must be
+    assert (force[lasted > 0.999] == 0).all()
+    assert (force[16:] > 3.35 * 9.81).all()  # more than its weight: it falls on torso or head
+    assert acceleration.min() > 9.81  # of gravity alone, in the midst of a fall
+    assert acceleration[:16].mean() < acceleration[16:].mean()
+
+
+def test_a_score_tells_apart_what_is_worse_in_one_thing():
+    """By hand: 2 for a kneel, 1 each for rest, time and tilt, 2 each for no force and no impact."""
+    yes, no = torch.tensor([True]), torch.tensor([False])
+    best = Landing(yes, yes, *torch.tensor([[1.0], [1.0], [0.0], [0.0]]))
+    assert best.score.item() == 9.0
+    assert best._replace(kneels=no).score.item() == 7.0
+    assert best._replace(safe=no).score.item() == 8.0
+    assert best._replace(upright=torch.tensor([0.5])).score.item() == 8.5
+    assert best._replace(force=torch.tensor([300.0])).score.item() == 8.5
+    assert best._replace(acceleration=torch.tensor([100.0])).score.item() == 8.5
+    assert best._replace(acceleration=torch.tensor([1e6])).score.item() == 7.0
 
 
 CONFIG = OmegaConf.create(
@@ -105,8 +122,8 @@ def test_the_search_finds_what_its_score_asks_for(make_base, monkeypatch):
 
     def known(falls, rows, moves, until):
         away = (moves - best)[:, 1, 2].abs()
-        no = torch.zeros(len(rows), dtype=torch.bool)
-        return no, no, -away, torch.zeros(len(rows))
+        no, zero = torch.zeros(len(rows), dtype=torch.bool), torch.zeros(len(rows))
+        return Landing(no, no, -away, zero, zero, zero)
 
     monkeypatch.setattr(catches, "caught", known)
     cfg = OmegaConf.merge(CONFIG, {"candidates": 64, "elite": 8, "rounds": 12})
@@ -125,6 +142,8 @@ def test_recipe_writes_a_file_that_can_be_loaded(tmp_path):
     assert found.postures.shape == (12, 2, 5, 20)
     known = load_catches(ZEROTH01).postures  # one round of four candidates seldom beats it
     assert (found.postures == known).all(-1).all(-1).float().mean() > 0.5
+    bad = run("catches", f"falls={BANK}", "headings=[45]")
+    assert "headings must be of 0, 30, ... 330 degrees, got 45" in bad.stderr
     bad = run("catches", f"falls={tmp_path}/none.npz")
     assert bad.returncode != 0
     assert "falls must be a file that recipes.falls wrote" in bad.stderr + bad.stdout
