@@ -16,7 +16,7 @@ import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from tensordict import TensorDict
 from torch import Tensor
@@ -28,7 +28,7 @@ from zfall.envs.rotations import turn_to_heading
 from zfall.envs.terms.kneel import resting_kneel
 
 END, SPEED = 1.5, 6.0  # of a trial [s]; of each joint, as that of KneelReference [rad/s]
-AFTER = 0.3  # for which a trial goes on once torso or head touched: what counts is over then [s]
+AFTER = 0.5  # for which a trial goes on once torso or head touched [s], as in battery planar
 FORCE, ACCELERATION = 1200.0, 400.0  # worst that a score tells apart [N, m/s2]
 KEYS = {
     "falls",
@@ -134,11 +134,12 @@ def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> Landi
         if wrench is not None:
             td["push", "wrench"] = wrench
         td = env.step(td)["next"]
-        counted = since < AFTER
-        peaks = td["contact_force_peak"][:, struck].amax(-1), td["base_acceleration_peak"][:, 0]
-        force = torch.where(counted, torch.maximum(force, peaks[0]), force)
-        acceleration = torch.where(counted, torch.maximum(acceleration, peaks[1]), acceleration)
-        touched = (since > 0) | (force > 0) | td["diverged"].squeeze(-1)
+        counted, diverged = since < AFTER, td["diverged"].squeeze(-1)
+        hit = td["contact_force_peak"][:, struck].amax(-1).masked_fill(diverged, FORCE)
+        shock = td["base_acceleration_peak"][:, 0].masked_fill(diverged, ACCELERATION)
+        force = torch.where(counted, torch.maximum(force, hit), force)
+        acceleration = torch.where(counted, torch.maximum(acceleration, shock), acceleration)
+        touched = (since > 0) | (force > 0)
         since += touched * env.control_dt
         lasted += ~touched / steps
         env.simulation.step_only(since < AFTER)
@@ -158,7 +159,7 @@ def outcome(falls: Falls, rows: Tensor, move: Tensor, until: Tensor) -> tuple[fl
     some = rows[torch.arange(falls.env.num_envs) % len(rows)]
     landing = caught(falls, some, move.expand(len(some), -1, -1), until)
     kneels, force = landing.kneels.float().mean(), landing.force.mean()
-    text = f"{kneels:.2f} kneel, {force:.0f} N, {landing.acceleration.mean():.0f} m/s2"
+    text = f"{kneels:.2f} kneel, mean {force:.0f} N, {landing.acceleration.mean():.0f} m/s2"
     return landing.score.mean().item(), text
 
 
@@ -197,9 +198,11 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         if not 2 <= cfg.elite <= cfg.candidates:
             raise ValueError(f"elite must lie in [2, candidates], got {cfg.elite}.")
-        unknown = sorted(set(cfg.headings) - set(HEADINGS))
-        if unknown:
-            raise ValueError(f"headings must be of 0, 30, ... 330 degrees, got {unknown[0]}.")
+        given = cfg.headings if OmegaConf.is_list(cfg.headings) else [cfg.headings]
+        if not given or any(heading not in HEADINGS for heading in given):
+            raise ValueError(
+                f"headings must be some of 0, 30, ... 330 degrees, got {cfg.headings}."
+            )
         for name in ("until", "speeds"):
             if sorted(cfg[name]) != list(cfg[name]):
                 raise ValueError(f"{name} must rise, got {list(cfg[name])}.")
@@ -217,7 +220,7 @@ def main(cfg: DictConfig) -> None:
         found[:] = known.postures[:, of_bin][:, :, of_time]
     path = Path(HydraConfig.get().runtime.output_dir) / "catches.npz"
     save_catches(path, found, until, torch.tensor(list(cfg.speeds)))
-    for heading, (j, (low, high)) in product(cfg.headings, bins):
+    for heading, (j, (low, high)) in product(given, bins):
         i = HEADINGS.index(heading)
         rows = falls.like(heading, low, high)
         if len(rows) < cfg.trials:
@@ -226,12 +229,13 @@ def main(cfg: DictConfig) -> None:
         before = outcome(falls, rows, found[i, j], until)
         move = search(falls, rows, found[i, j], cfg)
         after = outcome(falls, rows, move, until)
-        if after[0] > before[0]:
+        better = after[0] > before[0]
+        if better:
             found[i, j] = move
             save_catches(path, found, until, torch.tensor(list(cfg.speeds)))
         console.print(
             f"{heading} degrees, from {low} m/s: {len(rows)} falls, "
-            f"before {before[1]}; after {after[1]}",
+            f"before {before[1]}; after {after[1]}{'' if better else ', left as is'}",
             soft_wrap=True,
         )
     console.print(f"wrote {path}")

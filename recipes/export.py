@@ -8,6 +8,7 @@
 import json
 import logging
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.progress import Progress, TimeElapsedColumn
 from torchrl.envs import TransformedEnv
 
-from recipes.exported import OnnxPolicy, agreement, run_exported
+from recipes.export_planar import OnnxPolicy, agreement, run_exported
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.tested import load_run
 from zfall.envs.transforms.actions import JointPositionTarget
@@ -44,8 +45,11 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors():
         check_keys(cfg, {"run", "checkpoint", "change", "env", "planar"})
-        if cfg.planar is not None and cfg.planar < 1:
-            raise ValueError(f"planar must be at least one start per cell, got {cfg.planar}.")
+        starts = cfg.planar
+        if starts is not None and (type(starts) is not int or starts < 1):
+            raise ValueError(
+                f"planar must be a number of starts per cell, at least 1, got {starts}."
+            )
         env_cfg, actor = load_run(cfg, cfg.run)
         if actor is None:
             raise ValueError(f"run must hold a policy, {cfg.run} is a baseline.")
@@ -54,27 +58,25 @@ def main(cfg: DictConfig) -> None:
         export(actor, folder / "policy.onnx", size=about["observation_size"])
     (folder / "policy.json").write_text(json.dumps(about, indent=2))
     print(f"wrote {folder}/policy.onnx, policy.json")
-    if cfg.planar is not None:
-        compare_planar(cfg.planar, env_cfg, actor, folder, about["memory_shape"])
+    if starts is not None:
+        with one_line_errors():
+            compare_planar(starts, env_cfg, actor, folder, about)
 
 
 def compare_planar(
-    starts: int, env_cfg: DictConfig, actor: Any, folder: Path, memory_shape: list[int] | None
+    starts: int, env_cfg: DictConfig, actor: Any, folder: Path, about: dict[str, Any]
 ) -> None:
     """Runs battery planar with what was exported and with the policy; writes ``planar.csv``."""
-    policy, battery = (
-        OnnxPolicy(folder / "policy.onnx", memory_shape),
-        load_battery("planar", starts=starts),
-    )
-    with one_line_errors(), Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
-        task = bar.add_task("onnxruntime and dm_control")
-        exported = run_exported(
-            battery,
-            env_cfg,
-            policy,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    own = run_battery(battery, env_cfg, actor)
+    policy = OnnxPolicy(folder / "policy.onnx", about)
+    battery = load_battery("planar", starts=starts)
+    with Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
+
+        def follow(name: str) -> Callable[[int, int], None]:
+            line = bar.add_task(name)
+            return lambda done, total: bar.update(line, completed=done, total=total)
+
+        exported = run_exported(battery, env_cfg, policy, progress=follow("as exported"))
+        own = run_battery(battery, env_cfg, actor, progress=follow("in zfall"))
     exported.assign(recovered_in_zfall=own["recovered"]).to_csv(folder / "planar.csv", index=False)
     print(agreement(battery, exported, own))
     print(f"wrote {folder}/planar.csv")

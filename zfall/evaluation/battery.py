@@ -21,7 +21,7 @@ from zfall.envs.threads import physics_first
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials
+from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials, those_of
 from zfall.evaluation.metrics import Outcomes
 from zfall.modules.actors import recurrent_keys
 
@@ -177,11 +177,7 @@ def run_battery(
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     base = env.base_env
-    if only is not None:
-        unknown = sorted(set(only) - set(trials["trial"]))
-        if unknown:
-            raise ValueError(f"trial must be one of 0 to {len(trials) - 1}, got {unknown[0]}.")
-        trials = trials[trials["trial"].isin(only)]
+    trials = those_of(trials, only)
     results = []
     if finished is not None and len(finished):
         results.append(finished)

@@ -1,5 +1,6 @@
 """What the batteries try: their definitions, trials and pushes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -152,6 +153,20 @@ def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFram
         grid = len(trials) - len(battery.forces) * battery.force_starts
         trials["listed"] = trials["trial"] >= grid
     return trials
+
+
+def those_of(trials: pd.DataFrame, only: Sequence[int] | None) -> pd.DataFrame:
+    """The trials of these numbers; all if ``None``.
+
+    Raises:
+        ValueError: on a number that none has.
+    """
+    if only is None:
+        return trials
+    unknown = sorted(set(only) - set(trials["trial"]))
+    if unknown:
+        raise ValueError(f"trial must be one of 0 to {len(trials) - 1}, got {unknown[0]}.")
+    return trials[trials["trial"].isin(only)]
 
 
 def plan_pushes(battery: Battery, trials: pd.DataFrame) -> Pushes:
