@@ -166,7 +166,7 @@ def test_recipe_writes_a_file_that_can_be_loaded(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "330 degrees, from 1.65 m/s: " in done.stdout
     found = load_catches(ZEROTH01, tmp_path / "catches.npz")
-    assert found.postures.shape == (12, 2, 5, 20)
+    assert found.postures.shape == (12, 4, 5, 20)
     known = load_catches(ZEROTH01).postures  # one round of four candidates seldom beats it
     assert (found.postures == known).all(-1).all(-1).float().mean() > 0.5
     for value in ("[45]", "45", "[]", "[a,30]"):
