@@ -3,9 +3,12 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
+import torch
 from omegaconf import OmegaConf
+from torchrl.data import Composite, Unbounded
 
 from recipes.export import describe, export
 from recipes.export_planar import OnnxPolicy, agreement, run_exported
@@ -13,6 +16,7 @@ from recipes.tested import load_run
 from tests.test_recipes import TINY, run
 from zfall.evaluation.battery import battery_env, run_battery
 from zfall.evaluation.definitions import load_battery
+from zfall.modules.actors import gru_actor
 
 BATTERY = load_battery("planar", starts=1, impulses=[0.3, 1.9])
 TRIALS = [0, 12, 24, 30]  # no push; a small one forward; large ones forward and backward
@@ -107,6 +111,23 @@ def test_a_policy_with_a_memory_from_the_shell(tmp_path, monkeypatch):
     table = pd.read_csv(tmp_path / "out" / "planar.csv")
     assert table["recovered"].tolist() == table["recovered_in_zfall"].tolist()
     assert table["recovered"].tolist() == [True, True, True, True, False, False]
+
+
+def test_a_memory_is_kept_between_steps_and_lost_at_a_reset(tmp_path):
+    """The same observation twice: the second action knows of the first, after a reset none does."""
+    pytest.importorskip("onnxruntime")
+    torch.manual_seed(0)
+    spec = Composite(observation=Unbounded((1, 12)), shape=(1,))
+    actor = gru_actor(spec, Unbounded((1, 5)), hidden_size=8, num_layers=2)
+    for parameter in actor.parameters():  # else all actions are zero
+        parameter.data += 0.3 * torch.randn_like(parameter)
+    export(actor, tmp_path / "policy.onnx", size=12)
+    policy = OnnxPolicy(tmp_path / "policy.onnx", {"memory_shape": [1, 2, 8]})
+    seen = np.ones(12, dtype=np.float32)
+    first, second = policy(seen), policy(seen)
+    policy.reset()
+    assert np.abs(second - first).max() > 1e-3
+    assert policy(seen).tolist() == first.tolist()
 
 
 @pytest.mark.parametrize("value", ["0", "1.5", "true", "abc"])
