@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import yaml
 from hydra import compose, initialize_config_module
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
-from recipes.ablate import plan
+from recipes.study_runs import in_test, plan
 from tests.test_recipes import run
 
 STUDY = """
@@ -29,12 +31,28 @@ OTHER = (
 )
 
 
+KNEELING = """
+name: falls
+base: [num_envs=16, rollout_steps=4]
+rows:
+  two: [experiment=push_to_kneel_kneel]
+  one: [experiment=push_to_kneel]
+  script: [experiment=push_to_kneel_recover]
+beside: {two: {recover: [experiment=push_to_kneel_recover, num_envs=16, rollout_steps=4]}, script: {kneel: script}}
+tests: {tilt: [experiment=push_to_kneel], late: [experiment=push_to_kneel, env.transforms.mode.angle=1.2]}
+seeds: [0]
+total_frames: 64
+battery: {name: kneel, starts: 1, force_starts: 1, impulses: [1.5], directions: 1, forces: [[20, 0]], end_time: 1.5}
+"""
+
+
 @pytest.fixture
 def studies(tmp_path) -> list[str]:
     own = tmp_path / "own" / "study"
     own.mkdir(parents=True)
     (own / "tiny.yaml").write_text(STUDY)
     (own / "other.yaml").write_text(OTHER)
+    (own / "falls.yaml").write_text(KNEELING)
     return ["--config-dir", str(own.parent), f"results={tmp_path}/results", f"runs={tmp_path}/runs"]
 
 
@@ -107,6 +125,72 @@ def test_rows_that_are_the_same_are_refused(studies, tmp_path):
     done = run("ablate", *studies, "study=tiny")
     assert done.returncode != 0
     assert "rows must differ, mirrored and none are the same" in done.stderr
+
+
+def test_two_policies_are_trained_once_and_tested_in_each_world(studies, tmp_path):
+    """The one that recovers stands in two rows; untrained it stays in RECOVER or does not."""
+    done = run("ablate", *studies, "study=falls")
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "results" / "falls.md").read_text()
+    assert "failed" not in text, text
+    assert text.index("Tested: tilt") < text.index("| two |") < text.index("Tested: late")
+    folders = list((tmp_path / "runs").glob("*/checkpoints"))
+    assert len(folders) == 3
+    figures = pd.read_csv(tmp_path / "results" / "falls.csv")
+    assert set(figures["test"]) == {"tilt", "late"}
+    assert set(figures["row"]) == {"two", "one", "script"}
+
+
+def test_worlds_are_the_rows_of_a_study_with_one_row(studies, tmp_path):
+    path = tmp_path / "own" / "study" / "falls.yaml"
+    rows = "rows: {script: [experiment=push_to_kneel_recover]}\nbeside: {script: {kneel: script}}\n"
+    path.write_text(
+        KNEELING[: KNEELING.index("rows:")] + rows + KNEELING[KNEELING.index("tests:") :]
+    )
+    done = run("ablate", *studies, "study=falls", "rebuild=true")
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "results" / "falls.md").read_text()
+    assert "| tilt, seed 0 | not run |" in text
+    assert "| late, seed 0 | not run |" in text
+
+
+def test_a_world_takes_what_the_policy_sees_and_does_and_nothing_else():
+    """Twice as many control steps, another range of the action; noise as in the test."""
+    own = [
+        "env.base_env.control_dt=0.02",
+        "env.transforms.action.scale=0.3",
+        "env.transforms.noise.std.joint_position=0.5",
+    ]
+    study = OmegaConf.create(
+        yaml.safe_load(STUDY)
+        | {"rows": {"own": own}, "tests": {"noisy": ["env.training_only.noise=false"]}}
+    )
+    with initialize_config_module("recipes", version_base=None):
+        (one, _) = plan(study)
+    env_cfg = in_test(one.tests[0], one.cfg.env)
+    assert env_cfg.base_env.control_dt == 0.02
+    assert env_cfg.transforms.action.scale == 0.3
+    assert env_cfg.transforms.noise.std.joint_position == 0.01
+    assert env_cfg.training_only.noise is False
+
+
+@pytest.mark.parametrize(
+    "beside", [{"recover": "script"}, {"walk": "best"}, {"recover": "best", "kneel": "script"}]
+)
+def test_what_no_policy_can_stand_beside_is_refused(beside):
+    study = OmegaConf.create(yaml.safe_load(STUDY) | {"beside": {"mirrored": beside}})
+    with (
+        initialize_config_module("recipes", version_base=None),
+        pytest.raises(ValueError, match="study.beside must give mirrored one policy"),
+    ):
+        plan(study)
+
+
+@pytest.mark.parametrize("key", ["beside", "row_seeds"])
+def test_what_is_said_of_a_row_that_is_not_there_is_refused(key):
+    study = OmegaConf.create(yaml.safe_load(STUDY) | {key: {"nobody": [0]}})
+    with pytest.raises(ValueError, match=f"study.{key} must name rows .none, .*, got nobody"):
+        plan(study)
 
 
 @pytest.mark.parametrize(

@@ -7,17 +7,33 @@ import numpy as np
 import pandas as pd
 
 from zfall.evaluation.comparison import bootstrap_interval
+from zfall.evaluation.definitions import Battery
+from zfall.evaluation.kneeling import torso_or_head
+from zfall.evaluation.statistics import summarize
 
 # Column: its heading, and its digits.
-FIGURES = {
+Figures = Mapping[str, tuple[str, int]]
+FALLS = {"control_falls": ("falls without a push", 1), "frames_per_s": ("frames/s", 0)}
+PLANAR: Figures = {
     "i50_mean": ("mean I50", 3),
     "i50_min": ("least I50", 2),
     "success": ("success", 3),
     "target_smoothness": ("smoothness [mrad]", 2),
     "joint_torque_rms": ("torque, smallest push [N m]", 2),
-    "control_falls": ("falls without a push", 1),
-    "frames_per_s": ("frames/s", 0),
+    **FALLS,
 }
+KNEEL: Figures = {
+    "recovered": ("recovered, small pushes", 3),
+    "kneeled": ("kneeled, I = 1 to 1.5", 3),
+    "clean": ("clean", 3),
+    "untouched": ("untouched", 3),
+    "kneeled_beyond": ("kneeled, larger", 3),
+    "base_acceleration": ("acceleration [m/s2]", 0),
+    "torso_head_force": ("force on torso, head [N]", 0),
+    **FALLS,
+}
+SMALL = 0.55  # pushes of the list up to it are to be recovered from
+LARGE = 1.5  # up to it, they are to end in a kneel
 UNPAIRED = ("frames_per_s", "control_falls")  # of which no difference is shown
 
 
@@ -42,12 +58,54 @@ class Cell:
         return low > 0 or high < 0
 
 
-def study_table(runs: Mapping[str, pd.DataFrame]) -> dict[str, dict[str, Cell]]:
+def planar_figures(battery: Battery, trials: pd.DataFrame, training_size: str) -> dict[str, float]:
+    """``PLANAR`` but for the speed; success at the impulse of which training's pushes are."""
+    summary = summarize(battery, trials)
+    mild = trials[trials["impulse"] == trials["impulse"][trials["impulse"] > 0].min()]
+    return {
+        "i50_mean": summary["i50_mean"],
+        "i50_min": summary["i50_min"],
+        "success": summary["success"][training_size],
+        "target_smoothness": 1e3 * summary["target_smoothness"],
+        "joint_torque_rms": float(mild["joint_torque_rms"].mean()),
+        "control_falls": summary["control_falls"],
+    }
+
+
+def kneel_figures(trials: pd.DataFrame) -> dict[str, float]:
+    """``KNEEL`` but for the speed; not a number where there is nothing to count.
+
+    Of the pushes up to I = 1.5 that were not recovered from: ``kneeled``, ``untouched`` (torso
+    and head never on the floor) and, of the kneels, ``clean``. ``kneeled_beyond``: of larger ones.
+    Peaks are means over all falls.
+    """
+    pushed = trials[trials["impulse"] > 0]
+    small = pushed[pushed["listed"] & (pushed["impulse"] < SMALL)]
+    fallen = pushed[~pushed["recovered"]]
+    grid = fallen[~fallen["listed"]]
+    near, beyond = grid[grid["impulse"] <= LARGE], grid[grid["impulse"] > LARGE]
+    force = fallen[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
+    values = {
+        "recovered": small["recovered"],
+        "kneeled": near["kneeled"],
+        "clean": ~torso_or_head(near[near["kneeled"].astype(bool)]),
+        "untouched": ~torso_or_head(near),
+        "kneeled_beyond": beyond["kneeled"],
+        "base_acceleration": fallen["peak_base_acceleration"],
+        "torso_head_force": force,
+    }
+    means = {name: float(column.astype(float).mean()) for name, column in values.items()}
+    return means | {"control_falls": int(trials["fell"][trials["impulse"] == 0].sum())}
+
+
+def study_table(runs: Mapping[str, pd.DataFrame], figures: Figures) -> dict[str, dict[str, Cell]]:
     """Cells by row and figure.
 
     Args:
         runs: by row, the first to compare with; a line for each seed with ``seed`` and the
-            ``FIGURES``. A row without lines is left out.
+            figures. A row without lines is left out.
+        figures: the columns, ``PLANAR`` or ``KNEEL``. A seed whose figure is not a number, for
+            there was nothing to count, is left out of its mean.
     """
     base = next(iter(runs.values()))
     table: dict[str, dict[str, Cell]] = {}
@@ -55,39 +113,43 @@ def study_table(runs: Mapping[str, pd.DataFrame]) -> dict[str, dict[str, Cell]]:
         if not len(rows):
             continue
         table[name] = {}
-        for figure in FIGURES:
-            values = rows[figure].tolist()
+        for figure in figures:
+            values = rows[figure].dropna().tolist() or [np.nan]
             low, high = bootstrap_interval(values)
             difference = None
             if rows is not base and len(base) and figure not in UNPAIRED:
                 paired = rows.merge(base, on="seed", suffixes=("", "_base"))
-                change = (paired[figure] - paired[f"{figure}_base"]).tolist()
+                change = (paired[figure] - paired[f"{figure}_base"]).dropna().tolist()
                 if len(change) > 1:
                     difference = (float(np.mean(change)), *bootstrap_interval(change))
             table[name][figure] = Cell(float(np.mean(values)), low, high, difference)
     return table
 
 
-def as_markdown(table: Mapping[str, Mapping[str, Cell]], missing: Mapping[str, str]) -> str:
+def as_markdown(
+    table: Mapping[str, Mapping[str, Cell]], missing: Mapping[str, str], figures: Figures
+) -> str:
     """The table in Markdown; rows of ``missing`` say why they are."""
-    head = ["", *(heading for heading, _ in FIGURES.values())]
+    head = ["", *(heading for heading, _ in figures.values())]
     lines = [head, ["---"] * len(head)]
     for name, cells in table.items():
-        lines.append([name, *(_text(cell, FIGURES[key][1], "**") for key, cell in cells.items())])
+        lines.append([name, *(_text(cell, figures[key][1], "**") for key, cell in cells.items())])
     lines += [[name, why, *[""] * (len(head) - 2)] for name, why in missing.items()]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def as_latex(table: Mapping[str, Mapping[str, Cell]], missing: Mapping[str, str]) -> str:
+def as_latex(
+    table: Mapping[str, Mapping[str, Cell]], missing: Mapping[str, str], figures: Figures
+) -> str:
     """The table for LaTeX with booktabs."""
-    columns = "l" + "r" * len(FIGURES)
-    head = " & ".join(["", *(heading for heading, _ in FIGURES.values())])
+    columns = "l" + "r" * len(figures)
+    head = " & ".join(["", *(heading for heading, _ in figures.values())])
     body = []
     for name, cells in table.items():
-        texts = [_text(cell, FIGURES[key][1], "bold") for key, cell in cells.items()]
+        texts = [_text(cell, figures[key][1], "bold") for key, cell in cells.items()]
         body.append(" & ".join([name, *texts]) + r" \\")
     body += [
-        rf"{name} & \multicolumn{{{len(FIGURES)}}}{{l}}{{{why}}} \\"
+        rf"{name} & \multicolumn{{{len(figures)}}}{{l}}{{{why}}} \\"
         for name, why in missing.items()
     ]
     rows = "\n".join(body)

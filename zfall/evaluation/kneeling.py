@@ -119,7 +119,8 @@ def _mean(values: pd.Series) -> float | None:
     return None if np.isnan(mean) else mean
 
 
-def _torso_or_head(trials: pd.DataFrame) -> pd.Series:
+def torso_or_head(trials: pd.DataFrame) -> pd.Series:
+    """Trials in which torso or head touched the floor."""
     return (trials["peak_contact_force/torso"] > 0) | (trials["peak_contact_force/head"] > 0)
 
 
@@ -132,12 +133,12 @@ def _force_name(group: pd.DataFrame) -> str:
 def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
     fallen = trials[~trials["recovered"]]
     kneels = fallen[fallen["kneeled"]]
-    touched = _torso_or_head(kneels)
+    touched = torso_or_head(kneels)
     counts = {
         "recovered": (int(trials["recovered"].sum()), len(trials)),
         "kneeled": (len(kneels), len(fallen)),
         "clean": (int((~touched).sum()), len(kneels)),
-        "untouched": (int((~_torso_or_head(fallen)).sum()), len(fallen)),
+        "untouched": (int((~torso_or_head(fallen)).sum()), len(fallen)),
     }
     out: dict[str, Any] = {"n": len(trials)}
     for name, (successes, count) in counts.items():

@@ -1,0 +1,268 @@
+"""The runs of a study: what is trained, beside what it acts, and in which worlds it is tested."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from filelock import FileLock
+from hydra import compose
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from recipes.one_line import in_one_line
+from recipes.tested import INTERFACE, check_same_interface, checkpoint_of, load_run
+from recipes.train import run_training
+from zfall.evaluation.ablation import kneel_figures, planar_figures
+from zfall.evaluation.battery import run_battery
+from zfall.evaluation.definitions import load_battery
+from zfall.evaluation.plots.curves import POINTS
+from zfall.modules.switched import StillActor, SwitchedActor
+
+STUDY = {
+    *("name", "base", "rows", "seeds", "row_seeds", "total_frames", "battery", "training_size"),
+    *("tests", "beside"),
+}
+SCRIPT = "script"  # in the place of a policy that kneels
+LATEST = OmegaConf.create({"env": None, "change": [], "checkpoint": "last"})
+
+
+@dataclass(frozen=True)
+class Test:
+    """A world in which the policies of a study are tested.
+
+    Args:
+        title: of the table; empty if each is tested in its own world.
+        env_cfg: config of the env, but for what the policy sees and does; ``None``: its own.
+        name: tells its result from all others, whatever study they belong to.
+    """
+
+    title: str
+    env_cfg: DictConfig | None
+    name: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One row with one seed.
+
+    Args:
+        row: its name.
+        seed: of the training.
+        cfg: of ``recipes.train``, as it is run.
+        beside: ``recover`` or ``kneel``, and the policy of that mode, which the mode machine
+            switches with: the name of one that ships, ``script``, or the config of its training.
+        tests: where it is tested.
+    """
+
+    row: str
+    seed: int
+    cfg: DictConfig
+    beside: tuple[str, str | DictConfig] | None
+    tests: tuple[Test, ...]
+
+    @property
+    def trainings(self) -> list[DictConfig]:
+        """All that is to be trained."""
+        other = self.beside[1] if self.beside else None
+        return [self.cfg, *([other] if isinstance(other, DictConfig) else [])]
+
+
+def plan(study: DictConfig) -> list[Run]:
+    """All runs of a study; every config is composed now, so that a bad one fails before any runs.
+
+    Raises:
+        ValueError: if two rows are the same, or something is said of a row that is not there.
+    """
+    runs = []
+    for key in ("beside", "row_seeds"):
+        unknown = set(OmegaConf.select(study, key) or {}) - set(study.rows)
+        if unknown:
+            raise ValueError(
+                f"study.{key} must name rows ({', '.join(map(str, study.rows))}), "
+                f"got {sorted(map(str, unknown))[0]}."
+            )
+    for row, overrides in study.rows.items():
+        for seed in OmegaConf.select(study, "row_seeds", default={}).get(row, study.seeds):
+            cfg = training([*study.base, *overrides], seed, study)
+            beside = _beside(study, str(row), seed)
+            runs.append(Run(str(row), int(seed), cfg, beside, _tests(study, cfg, beside)))
+    same = {run.tests[0].name: run.row for run in reversed(runs)}
+    for run in runs:
+        if (first := same[run.tests[0].name]) != run.row:
+            raise ValueError(f"rows must differ, {run.row} and {first} are the same.")
+    return runs
+
+
+def training(overrides: Sequence[str], seed: int, study: DictConfig) -> DictConfig:
+    """The config of a training of a study."""
+    own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
+    return compose("train", overrides=[*overrides, *own])
+
+
+def _beside(study: DictConfig, row: str, seed: int) -> tuple[str, str | DictConfig] | None:
+    given = OmegaConf.select(study, "beside", default={}).get(row)
+    if given is None:
+        return None
+    roles = [role for role in ("recover", "kneel") if role in given]
+    if len(given) != 1 or not roles or (given.get("recover") == SCRIPT):
+        raise ValueError(
+            f"study.beside must give {row} one policy, recover: NAME or kneel: NAME, a list of "
+            f"overrides in place of NAME, or kneel: script; got {OmegaConf.to_container(given)}."
+        )
+    (role,) = roles
+    other = given[role]
+    return role, other if isinstance(other, str) else training(list(other), seed, study)
+
+
+def _tests(
+    study: DictConfig, cfg: DictConfig, beside: tuple[str, str | DictConfig] | None
+) -> tuple[Test, ...]:
+    wanted = {
+        "config": OmegaConf.to_yaml(cfg, resolve=True),
+        "battery": OmegaConf.to_container(study.battery),
+        "training_size": OmegaConf.select(study, "training_size"),
+        "keep": [],
+    }
+    if beside is not None:
+        role, other = beside
+        if isinstance(other, DictConfig):
+            wanted["beside"] = [role, OmegaConf.to_yaml(other, resolve=True)]
+        else:
+            shipped = b"" if other == SCRIPT else checkpoint_of(other).read_bytes()
+            wanted["beside"] = [role, other, hashlib.sha256(shipped).hexdigest()]
+    tests = []
+    for title, overrides in (OmegaConf.select(study, "tests") or {"": None}).items():
+        env_cfg, more = None, {}
+        if overrides is not None:
+            env_cfg = compose("train", overrides=[*study.base, *overrides]).env
+            more = {"test": OmegaConf.to_yaml(env_cfg, resolve=True)}
+        tests.append(Test(str(title), env_cfg, digest(wanted | more)))
+    return tuple(tests)
+
+
+def digest(value: Any) -> str:
+    """Twelve digits that tell a value from all others."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def run_folder(runs: Path, cfg: DictConfig) -> Path:
+    """Where a training of this config lies, whatever study or row it is for."""
+    return runs / digest(OmegaConf.to_yaml(cfg, resolve=True))
+
+
+def result_file(results: Path, test: Test) -> Path:
+    """Where the figures of a finished run lie."""
+    return results / "runs" / f"{test.name}.csv"
+
+
+def unfinished(run: Run, results: Path) -> list[Test]:
+    """Tests of a run whose figures are not there."""
+    return [test for test in run.tests if not result_file(results, test).exists()]
+
+
+def execute(run: Run, cfg: DictConfig) -> None:
+    """Trains one run, or goes on with it, tests it, and writes its figures."""
+    runs, results = Path(cfg.runs), Path(cfg.results)
+    missing = unfinished(run, results)  # others may be there of a study that shares it
+    if not missing:
+        return
+    folder = run_folder(runs, run.cfg)
+    failed = folder / "failed.txt"
+    try:
+        for each in reversed(run.trainings):
+            train(each, run_folder(runs, each))
+        failed.unlink(missing_ok=True)
+        for test in missing:
+            write(run, test, figures(run, test, cfg), folder, cfg)
+    except Exception as error:
+        folder.mkdir(parents=True, exist_ok=True)
+        failed.write_text(in_one_line(error))
+        print(f"{run.row}, seed {run.seed}, failed: {in_one_line(error)}")
+
+
+def train(cfg: DictConfig, folder: Path) -> None:
+    """Trains in a folder, or goes on there; a process that wants the same waits."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder.with_suffix(".lock")):
+        if not (folder / "checkpoints" / "last.pt").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        if not run_training(cfg, folder, Console(quiet=True)):
+            raise SystemExit(130)
+
+
+def figures(run: Run, test: Test, cfg: DictConfig) -> dict[str, float]:
+    """Figures of a run's policy in the world of a test."""
+    options: dict[str, Any] = dict(OmegaConf.to_container(cfg.study.battery))  # type: ignore[arg-type]
+    battery = load_battery(options.pop("name"), **options)
+    folder = run_folder(Path(cfg.runs), run.cfg)
+    env_cfg, actor = tested(run, test, Path(cfg.runs))
+    trials = run_battery(battery, env_cfg, actor)
+    timing = pd.read_csv(folder / "timing.csv")
+    frames = int(pd.read_csv(folder / "metrics.csv")["frames"].iloc[-1])
+    size = OmegaConf.select(cfg.study, "training_size")
+    own = kneel_figures(trials) if battery.forces else planar_figures(battery, trials, size)
+    speed = frames / (timing["collect_s"] + timing["learn_s"]).sum()
+    return own | {"frames_per_s": float(speed), "frames": frames}
+
+
+def tested(run: Run, test: Test, runs: Path) -> tuple[DictConfig, torch.nn.Module]:
+    """The world of a test with what the policy sees and does in it, and the policy.
+
+    Raises:
+        ValueError: if the policy beside it does not see or do the same.
+    """
+    own_cfg, actor = load_run(LATEST, str(run_folder(runs, run.cfg)))
+    assert actor is not None  # a run folder holds a policy
+    if run.beside is not None:
+        role, other = run.beside
+        if other == SCRIPT:
+            size = instantiate(own_cfg, base_env={"num_envs": 1}).action_spec.shape[-1]
+            second: Any = StillActor(size)
+        else:
+            name = other if isinstance(other, str) else str(run_folder(runs, other))
+            second_cfg, second = load_run(LATEST, name)
+            both = {"this": own_cfg, role: second_cfg}
+            check_same_interface({k: OmegaConf.create({"env": v}) for k, v in both.items()})
+        parts = {"recover": actor, "kneel": actor} | {role: second}
+        actor = SwitchedActor(parts["recover"], parts["kneel"])
+    return in_test(test, own_cfg), actor
+
+
+def in_test(test: Test, own_cfg: DictConfig) -> DictConfig:
+    """The world of a test, in which a policy sees, does and decides as in its own."""
+    if test.env_cfg is None:
+        return own_cfg
+    env_cfg = test.env_cfg.copy()
+    env_cfg.base_env.control_dt = own_cfg.base_env.control_dt
+    for name in INTERFACE:
+        env_cfg.transforms[name] = own_cfg.transforms[name]
+    return env_cfg
+
+
+def write(run: Run, test: Test, values: dict[str, float], folder: Path, cfg: DictConfig) -> None:
+    """Writes the figures of a finished run, and its learning curve in a few points."""
+    path = result_file(Path(cfg.results), test)
+    metrics = pd.read_csv(folder / "metrics.csv")
+    bins = (metrics.index * POINTS // len(metrics)).to_numpy()
+    curve = metrics.groupby(bins)[["frames", "episode_return", "episode_seconds"]].mean()
+    curve.to_csv(path.with_name(f"{test.name}_curve.csv"), index=False)
+    who = {"row": run.row, "seed": run.seed, "study": cfg.study.name}
+    who |= {"test": test.title} if test.title else {}
+    temporary = path.with_suffix(".tmp")
+    pd.DataFrame([who | values]).to_csv(temporary, index=False)
+    temporary.replace(path)
+
+
+def frames_done(cfg: DictConfig, folder: Path) -> int:
+    """Frames of a training so far."""
+    path = folder / "metrics.csv"
+    lines = path.read_text().splitlines() if path.exists() else []
+    return min(int(lines[-1].split(",")[1]), int(cfg.total_frames)) if len(lines) > 1 else 0
