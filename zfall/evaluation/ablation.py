@@ -13,7 +13,7 @@ from zfall.evaluation.statistics import summarize
 
 # Column: its heading, and its digits.
 Figures = Mapping[str, tuple[str, int]]
-FALLS = {"control_falls": ("falls without a push", 1), "frames_per_s": ("frames/s", 0)}
+FALLS = {"control_falls": ("falls without a push", 1)}
 PLANAR: Figures = {
     "i50_mean": ("mean I50", 3),
     "i50_min": ("least I50", 2),
@@ -21,6 +21,7 @@ PLANAR: Figures = {
     "target_smoothness": ("smoothness [mrad]", 2),
     "joint_torque_rms": ("torque, smallest push [N m]", 2),
     **FALLS,
+    "frames_per_s": ("frames/s", 0),
 }
 KNEEL: Figures = {
     "recovered": ("recovered, small pushes", 3),
@@ -73,7 +74,7 @@ def planar_figures(battery: Battery, trials: pd.DataFrame, training_size: str) -
 
 
 def kneel_figures(trials: pd.DataFrame) -> dict[str, float]:
-    """``KNEEL`` but for the speed; not a number where there is nothing to count.
+    """``KNEEL``; not a number where there is nothing to count.
 
     Of the pushes up to I = 1.5 that were not recovered from: ``kneeled``, ``untouched`` (torso
     and head never on the floor) and, of the kneels, ``clean``. ``kneeled_beyond``: of larger ones.
