@@ -200,5 +200,6 @@ def test_every_row_of_the_studies_that_ship_can_be_built(name):
     with initialize_config_module("recipes", version_base=None):
         study = compose("ablate", overrides=[f"study={name}"]).study
         for planned in {one.row: one for one in plan(study)}.values():
-            env = instantiate(planned.cfg.env, base_env={"num_envs": 2})
-            assert env.reset()["observation"].shape[0] == 2
+            for env_cfg in (planned.cfg.env, *(in_test(t, planned.cfg.env) for t in planned.tests)):
+                env = instantiate(env_cfg, base_env={"num_envs": 2})
+                assert env.reset()["observation"].shape[0] == 2
