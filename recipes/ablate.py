@@ -23,7 +23,9 @@ from recipes.study_runs import (
     STUDY,
     Run,
     Test,
+    battery_of,
     execute,
+    failure_file,
     frames_done,
     plan,
     result_file,
@@ -39,7 +41,6 @@ from zfall.evaluation.ablation import (
     as_markdown,
     study_table,
 )
-from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.plots import learning_bands
 
 KEYS = {"study", "results", "runs", "rebuild", "launcher", "jobs"}
@@ -100,10 +101,9 @@ def follow(bar: Progress, runs: list[Run], cfg: DictConfig, done: threading.Even
 
 def submit(todo: list[int], cfg: DictConfig) -> None:
     """Hands the runs to a launcher: this program again, as a sweep over their numbers."""
-    study = HydraConfig.get().runtime.choices["study"]
-    command = [sys.executable, "-m", "recipes.ablate", "-m", f"study={study}"]
-    command += [f"jobs={','.join(map(str, todo))}", f"results={cfg.results}", f"runs={cfg.runs}"]
-    command.append(f"hydra/launcher={cfg.launcher}")
+    given = HydraConfig.get().overrides.task  # which study, and what of it was changed
+    command = [sys.executable, "-m", "recipes.ablate", "-m", *given]
+    command += [f"jobs={','.join(map(str, todo))}", f"hydra/launcher={cfg.launcher}"]
     for source in HydraConfig.get().runtime.config_sources:
         if source.provider == "command-line":  # a folder of the user's own studies
             command.append(f"--config-dir={source.path}")
@@ -119,7 +119,7 @@ def write_tables(runs: list[Run], cfg: DictConfig) -> None:
     whose rows are the tests.
     """
     results, name = Path(cfg.results), cfg.study.name
-    figures = KNEEL if load_battery(cfg.study.battery.name).forces else PLANAR
+    figures = KNEEL if battery_of(cfg.study).forces else PLANAR
     texts, sources, frames = [], [], []
     for title, cells in arranged(runs).items():
         lines: dict[str, list[pd.DataFrame]] = {row: [] for row, _, _ in cells}
@@ -129,7 +129,7 @@ def write_tables(runs: list[Run], cfg: DictConfig) -> None:
             if path.exists():
                 lines[row].append(pd.read_csv(path).assign(seed=run.seed))
             else:
-                missing[f"{row}, seed {run.seed}"] = why_missing(run, cfg)
+                missing[f"{row}, seed {run.seed}"] = why_missing(test, cfg)
         table = study_table(joined(lines, figures), figures)
         head, comment = (f"Tested: {title}\n\n", f"% tested: {title}\n") if title else ("", "")
         texts.append(head + as_markdown(table, missing, figures))
@@ -166,9 +166,9 @@ def joined(
     }
 
 
-def why_missing(run: Run, cfg: DictConfig) -> str:
+def why_missing(test: Test, cfg: DictConfig) -> str:
     """What stands in the place of figures that are not there."""
-    why = run_folder(Path(cfg.runs), run.cfg) / "failed.txt"
+    why = failure_file(Path(cfg.runs), test)
     return f"failed: {shorten(why.read_text(), 100)}" if why.exists() else "not run"
 
 

@@ -2,9 +2,11 @@
 
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,11 @@ from rich.console import Console
 from recipes.one_line import in_one_line
 from recipes.tested import INTERFACE, check_same_interface, checkpoint_of, load_run
 from recipes.train import run_training
+from zfall import checkpoint
+from zfall.envs.model import identity_of
 from zfall.evaluation.ablation import kneel_figures, planar_figures
-from zfall.evaluation.battery import run_battery
-from zfall.evaluation.definitions import load_battery
+from zfall.evaluation.battery import robot_of, run_battery
+from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.plots.curves import POINTS
 from zfall.modules.switched import StillActor, SwitchedActor
 
@@ -30,6 +34,14 @@ STUDY = {
     *("tests", "beside"),
 }
 SCRIPT = "script"  # in the place of a policy that kneels
+ASSETS = Path(str(files("zfall.envs"))) / "assets"
+MOVEMENTS = ASSETS / "zeroth01_catches.npz"
+READ_BY = {  # files whose content a world depends on, by what reads them
+    "KneelReference": MOVEMENTS,
+    "FallingStart": ASSETS / "zeroth01_falls.npz",
+    "load_fall_network": ASSETS / "zeroth01_fall_network.pt",
+    "ReferenceStart": ASSETS / "zeroth01_motions.npz",
+}
 LATEST = OmegaConf.create({"env": None, "change": [], "checkpoint": "last"})
 
 
@@ -78,9 +90,13 @@ def plan(study: DictConfig) -> list[Run]:
     """All runs of a study; every config is composed now, so that a bad one fails before any runs.
 
     Raises:
-        ValueError: if two rows are the same, or something is said of a row that is not there.
+        ValueError: if two rows, seeds or tests are the same, something is said of a row that is
+            not there, or a test cannot tell what the table shows.
     """
-    runs = []
+    battery = battery_of(study)
+    size = OmegaConf.select(study, "training_size")
+    if not battery.forces and size not in (sizes := [f"{i:g}" for i in battery.impulses]):
+        raise ValueError(f"study.training_size must be one of {', '.join(sizes)}, got {size}.")
     for key in ("beside", "row_seeds"):
         unknown = set(OmegaConf.select(study, key) or {}) - set(study.rows)
         if unknown:
@@ -88,61 +104,91 @@ def plan(study: DictConfig) -> list[Run]:
                 f"study.{key} must name rows ({', '.join(map(str, study.rows))}), "
                 f"got {sorted(map(str, unknown))[0]}."
             )
+    runs = []
     for row, overrides in study.rows.items():
-        for seed in OmegaConf.select(study, "row_seeds", default={}).get(row, study.seeds):
+        for seed in (OmegaConf.select(study, "row_seeds") or {}).get(row, study.seeds):
             cfg = training([*study.base, *overrides], seed, study)
-            beside = _beside(study, str(row), seed)
-            runs.append(Run(str(row), int(seed), cfg, beside, _tests(study, cfg, beside)))
-    same = {run.tests[0].name: run.row for run in reversed(runs)}
+            beside = _beside(study, row, seed)
+            tests = _tests(study, cfg, beside)
+            if beside is not None:
+                _check_switched(str(row), cfg, beside, tests)
+            runs.append(Run(str(row), int(seed), cfg, beside, tests))
+    same: dict[str, str] = {}
     for run in runs:
-        if (first := same[run.tests[0].name]) != run.row:
-            raise ValueError(f"rows must differ, {run.row} and {first} are the same.")
+        for test in run.tests:
+            what = ", ".join(filter(None, (run.row, f"seed {run.seed}", test.title)))
+            if test.name in same:
+                raise ValueError(f"rows must differ, {what} and {same[test.name]} are the same.")
+            same[test.name] = what
     return runs
 
 
+def battery_of(study: DictConfig) -> Battery:
+    """The battery of a study, with its options."""
+    options: dict[str, Any] = dict(OmegaConf.to_container(study.battery))  # type: ignore[arg-type]
+    return load_battery(options.pop("name"), **options)
+
+
 def training(overrides: Sequence[str], seed: int, study: DictConfig) -> DictConfig:
-    """The config of a training of a study."""
+    """The config of a training of a study; a row may have a ``total_frames`` of its own."""
     own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
-    return compose("train", overrides=[*overrides, *own])
+    return compose("train", overrides=[*own, *overrides])
 
 
-def _beside(study: DictConfig, row: str, seed: int) -> tuple[str, str | DictConfig] | None:
-    given = OmegaConf.select(study, "beside", default={}).get(row)
+def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConfig] | None:
+    given = (OmegaConf.select(study, "beside") or {}).get(row)
     if given is None:
         return None
-    roles = [role for role in ("recover", "kneel") if role in given]
-    if len(given) != 1 or not roles or (given.get("recover") == SCRIPT):
+    parts = list(given.items()) if isinstance(given, DictConfig) else []
+    role, other = parts[0] if len(parts) == 1 else ("", "")
+    if not other or not (role == "kneel" or (role == "recover" and other != SCRIPT)):
         raise ValueError(
             f"study.beside must give {row} one policy, recover: NAME or kneel: NAME, a list of "
-            f"overrides in place of NAME, or kneel: script; got {OmegaConf.to_container(given)}."
+            f"overrides in place of NAME, or kneel: script; got {given}."
         )
-    (role,) = roles
-    other = given[role]
-    return role, other if isinstance(other, str) else training(list(other), seed, study)
+    return str(role), other if isinstance(other, str) else training(list(other), seed, study)
+
+
+def _check_switched(
+    row: str, cfg: DictConfig, beside: tuple[str, str | DictConfig], tests: Sequence[Test]
+) -> None:
+    """Refuses a policy beside another where nothing switches, or that sees or does other things."""
+    for test in tests:
+        mode = OmegaConf.select(in_test(test, cfg.env), "transforms.mode")
+        if mode is None or mode.initial != "recover":
+            raise ValueError(
+                f"study.tests must switch what stands beside {row}: a world with a mode machine "
+                f"that begins in recover, got {test.title or 'its own'}."
+            )
+    role, other = beside
+    if isinstance(other, str):
+        if other == SCRIPT:
+            return
+        other = OmegaConf.create(checkpoint.load(checkpoint_of(other))["config"])
+    check_same_interface({row: cfg, role: other})
 
 
 def _tests(
     study: DictConfig, cfg: DictConfig, beside: tuple[str, str | DictConfig] | None
 ) -> tuple[Test, ...]:
-    wanted = {
-        "config": OmegaConf.to_yaml(cfg, resolve=True),
-        "battery": OmegaConf.to_container(study.battery),
+    wanted: dict[str, Any] = {
+        "training": training_digest(cfg),
+        "battery": asdict(battery_of(study)),
         "training_size": OmegaConf.select(study, "training_size"),
-        "keep": [],
     }
     if beside is not None:
         role, other = beside
         if isinstance(other, DictConfig):
-            wanted["beside"] = [role, OmegaConf.to_yaml(other, resolve=True)]
+            wanted["beside"] = [role, training_digest(other)]
         else:
-            shipped = b"" if other == SCRIPT else checkpoint_of(other).read_bytes()
-            wanted["beside"] = [role, other, hashlib.sha256(shipped).hexdigest()]
+            path = MOVEMENTS if other == SCRIPT else checkpoint_of(other)
+            wanted["beside"] = [role, other, file_digest(path)]
     tests = []
     for title, overrides in (OmegaConf.select(study, "tests") or {"": None}).items():
         env_cfg, more = None, {}
         if overrides is not None:
             env_cfg = compose("train", overrides=[*study.base, *overrides]).env
-            more = {"test": OmegaConf.to_yaml(env_cfg, resolve=True)}
+            more = {"test": env_digest(env_cfg)}
         tests.append(Test(str(title), env_cfg, digest(wanted | more)))
     return tuple(tests)
 
@@ -152,14 +198,39 @@ def digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
 
 
+def file_digest(path: Path) -> str:
+    """Tells the content of a file from all others."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def env_digest(env_cfg: DictConfig) -> str:
+    """Tells a world from all others, by its config, its robot, and the files it reads."""
+    text = OmegaConf.to_yaml(env_cfg, resolve=True)
+    read = {name: file_digest(path) for name, path in READ_BY.items() if name in text}
+    return digest({"env": text, "robot": identity_of(robot_of(env_cfg)), "files": read})
+
+
+def training_digest(cfg: DictConfig) -> str:
+    """Tells a training from all others."""
+    wanted = {"config": OmegaConf.to_yaml(cfg, resolve=True), "env": env_digest(cfg.env)}
+    if cfg.warm_start is not None:
+        wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start))
+    return digest(wanted)
+
+
 def run_folder(runs: Path, cfg: DictConfig) -> Path:
     """Where a training of this config lies, whatever study or row it is for."""
-    return runs / digest(OmegaConf.to_yaml(cfg, resolve=True))
+    return runs / training_digest(cfg)
 
 
 def result_file(results: Path, test: Test) -> Path:
     """Where the figures of a finished run lie."""
     return results / "runs" / f"{test.name}.csv"
+
+
+def failure_file(runs: Path, test: Test) -> Path:
+    """Where it is written down why there are none."""
+    return runs / f"{test.name}.failed"
 
 
 def unfinished(run: Run, results: Path) -> list[Test]:
@@ -169,22 +240,31 @@ def unfinished(run: Run, results: Path) -> list[Test]:
 
 def execute(run: Run, cfg: DictConfig) -> None:
     """Trains one run, or goes on with it, tests it, and writes its figures."""
-    runs, results = Path(cfg.runs), Path(cfg.results)
-    missing = unfinished(run, results)  # others may be there of a study that shares it
+    runs = Path(cfg.runs)
+    missing = unfinished(run, Path(cfg.results))  # others may be there of a study that shares it
     if not missing:
         return
-    folder = run_folder(runs, run.cfg)
-    failed = folder / "failed.txt"
     try:
         for each in reversed(run.trainings):
             train(each, run_folder(runs, each))
-        failed.unlink(missing_ok=True)
-        for test in missing:
-            write(run, test, figures(run, test, cfg), folder, cfg)
     except Exception as error:
-        folder.mkdir(parents=True, exist_ok=True)
-        failed.write_text(in_one_line(error))
-        print(f"{run.row}, seed {run.seed}, failed: {in_one_line(error)}")
+        for test in missing:
+            mark_failed(run, test, error, runs)
+        return
+    for test in missing:
+        try:
+            write(run, test, figures(run, test, cfg), cfg)
+            failure_file(runs, test).unlink(missing_ok=True)
+        except Exception as error:
+            mark_failed(run, test, error, runs)
+
+
+def mark_failed(run: Run, test: Test, error: Exception, runs: Path) -> None:
+    """Writes down why a test has no figures."""
+    runs.mkdir(parents=True, exist_ok=True)
+    failure_file(runs, test).write_text(in_one_line(error))
+    what = ", ".join(filter(None, (run.row, f"seed {run.seed}", test.title)))
+    print(f"{what}, failed: {in_one_line(error)}")
 
 
 def train(cfg: DictConfig, folder: Path) -> None:
@@ -200,8 +280,7 @@ def train(cfg: DictConfig, folder: Path) -> None:
 
 def figures(run: Run, test: Test, cfg: DictConfig) -> dict[str, float]:
     """Figures of a run's policy in the world of a test."""
-    options: dict[str, Any] = dict(OmegaConf.to_container(cfg.study.battery))  # type: ignore[arg-type]
-    battery = load_battery(options.pop("name"), **options)
+    battery = battery_of(cfg.study)
     folder = run_folder(Path(cfg.runs), run.cfg)
     env_cfg, actor = tested(run, test, Path(cfg.runs))
     trials = run_battery(battery, env_cfg, actor)
@@ -247,8 +326,9 @@ def in_test(test: Test, own_cfg: DictConfig) -> DictConfig:
     return env_cfg
 
 
-def write(run: Run, test: Test, values: dict[str, float], folder: Path, cfg: DictConfig) -> None:
+def write(run: Run, test: Test, values: dict[str, float], cfg: DictConfig) -> None:
     """Writes the figures of a finished run, and its learning curve in a few points."""
+    folder = run_folder(Path(cfg.runs), run.cfg)
     path = result_file(Path(cfg.results), test)
     metrics = pd.read_csv(folder / "metrics.csv")
     bins = (metrics.index * POINTS // len(metrics)).to_numpy()
@@ -256,7 +336,7 @@ def write(run: Run, test: Test, values: dict[str, float], folder: Path, cfg: Dic
     curve.to_csv(path.with_name(f"{test.name}_curve.csv"), index=False)
     who = {"row": run.row, "seed": run.seed, "study": cfg.study.name}
     who |= {"test": test.title} if test.title else {}
-    temporary = path.with_suffix(".tmp")
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")  # another study may write the same
     pd.DataFrame([who | values]).to_csv(temporary, index=False)
     temporary.replace(path)
 

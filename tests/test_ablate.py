@@ -4,16 +4,22 @@ import multiprocessing
 import sys
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import pandas as pd
 import pytest
+import torch
 import yaml
 from hydra import compose, initialize_config_module
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
 
-from recipes.study_runs import in_test, plan
+from recipes import study_runs
+from recipes.study_runs import Run, Test, battery_of, in_test, plan, tested
 from tests.test_recipes import run
+from zfall.evaluation.battery import battery_env
 
 STUDY = """
 name: tiny
@@ -128,7 +134,7 @@ def test_rows_that_are_the_same_are_refused(studies, tmp_path):
 
 
 def test_two_policies_are_trained_once_and_tested_in_each_world(studies, tmp_path):
-    """The one that recovers stands in two rows; untrained it stays in RECOVER or does not."""
+    """The one that recovers stands in two rows."""
     done = run("ablate", *studies, "study=falls")
     assert done.returncode == 0, done.stderr
     text = (tmp_path / "results" / "falls.md").read_text()
@@ -186,6 +192,77 @@ def test_what_no_policy_can_stand_beside_is_refused(beside):
         plan(study)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"training_size": "0.45"}, "study.training_size must be one of 0.1, 0.4, got 0.45"),
+        ({"seeds": [0, 0]}, "none, seed 0 and none, seed 0 are the same"),
+        ({"tests": {"a": None, "b": None}}, "none, seed 0, b and none, seed 0, a are the same"),
+        ({"battery": {"name": "planar", "start": 1}}, "options of battery planar are .* got start"),
+        ({"beside": {"none": "best"}}, "study.beside must give none one policy"),
+        (
+            {"beside": {"none": {"recover": "best"}}},
+            "study.tests must switch what stands beside none: .* got its own",
+        ),
+        (
+            {
+                "beside": {"none": {"recover": "best"}},
+                "tests": {"modes": ["experiment=push_to_kneel"]},
+            },
+            "none and recover must have the same env.transforms.observation",
+        ),
+    ],
+)
+def test_studies_that_would_fail_after_training_are_refused_before(change, message):
+    study = OmegaConf.create(yaml.safe_load(STUDY) | change)
+    with (
+        initialize_config_module("recipes", version_base=None),
+        pytest.raises(ValueError, match=message),
+    ):
+        plan(study)
+
+
+def test_results_of_other_movements_are_others(monkeypatch, tmp_path):
+    """A study whose script kneels depends on a file that no config names."""
+    study = OmegaConf.create(yaml.safe_load(KNEELING))
+    other = tmp_path / "catches.npz"
+    other.write_bytes(b"other movements")
+    with initialize_config_module("recipes", version_base=None):
+        before = [run.tests[0].name for run in plan(study)]
+        monkeypatch.setitem(study_runs.READ_BY, "KneelReference", other)
+        after = [run.tests[0].name for run in plan(study)]
+    assert not set(before) & set(after)
+
+
+@pytest.mark.parametrize(
+    ("role", "expected"), [("recover", [2.0, 1.0, 1.0]), ("kneel", [1.0, 2.0, 2.0])]
+)
+def test_each_of_two_policies_acts_in_its_own_mode(role, expected, monkeypatch):
+    """This one says 1 and the one beside it 2, in RECOVER, KNEEL and STABLE."""
+
+    class Says(TensorDictModuleBase):
+        in_keys: ClassVar = ["observation"]
+        out_keys: ClassVar = ["action"]
+
+        def __init__(self, value: float):
+            super().__init__()
+            self.value = value
+
+        def forward(self, td):
+            return td.set("action", torch.full((*td.shape, 1), self.value))
+
+    cfg = OmegaConf.create({"env": {"num": 0}, "warm_start": None})
+    monkeypatch.setattr(study_runs, "run_folder", lambda runs, cfg: Path("this"))
+    monkeypatch.setattr(study_runs, "check_same_interface", lambda configs: None)
+    monkeypatch.setattr(
+        study_runs, "load_run", lambda latest, name: (cfg.env, Says(1.0 if name == "this" else 2.0))
+    )
+    run = Run("row", 0, cfg, (role, "other"), ())
+    _, actor = tested(run, Test("", None, ""), Path())
+    td = TensorDict({"observation": torch.zeros(3, 4), "mode": torch.eye(3)}, [3])
+    assert actor(td)["action"][:, 0].tolist() == expected
+
+
 @pytest.mark.parametrize("key", ["beside", "row_seeds"])
 def test_what_is_said_of_a_row_that_is_not_there_is_refused(key):
     study = OmegaConf.create(yaml.safe_load(STUDY) | {key: {"nobody": [0]}})
@@ -200,6 +277,8 @@ def test_every_row_of_the_studies_that_ship_can_be_built(name):
     with initialize_config_module("recipes", version_base=None):
         study = compose("ablate", overrides=[f"study={name}"]).study
         for planned in {one.row: one for one in plan(study)}.values():
-            for env_cfg in (planned.cfg.env, *(in_test(t, planned.cfg.env) for t in planned.tests)):
-                env = instantiate(env_cfg, base_env={"num_envs": 2})
+            env = instantiate(planned.cfg.env, base_env={"num_envs": 2})
+            assert env.reset()["observation"].shape[0] == 2
+            for world in planned.tests:
+                env, _, _ = battery_env(battery_of(study), in_test(world, planned.cfg.env), 2)
                 assert env.reset()["observation"].shape[0] == 2

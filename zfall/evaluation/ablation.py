@@ -48,6 +48,7 @@ class Cell:
     mean: float
     low: float
     high: float
+    seeds: int
     difference: tuple[float, float, float] | None
 
     @property
@@ -78,13 +79,13 @@ def kneel_figures(trials: pd.DataFrame) -> dict[str, float]:
 
     Of the pushes up to I = 1.5 that were not recovered from: ``kneeled``, ``untouched`` (torso
     and head never on the floor) and, of the kneels, ``clean``. ``kneeled_beyond``: of larger ones.
-    Peaks are means over all falls.
+    Peaks are means over all falls on the grid, which nobody recovers from: whoever gives up after
+    small pushes must not gain by that.
     """
     pushed = trials[trials["impulse"] > 0]
     small = pushed[pushed["listed"] & (pushed["impulse"] < SMALL)]
-    fallen = pushed[~pushed["recovered"]]
-    grid = fallen[~fallen["listed"]]
-    near, beyond = grid[grid["impulse"] <= LARGE], grid[grid["impulse"] > LARGE]
+    fallen = pushed[~pushed["recovered"] & ~pushed["listed"]]
+    near, beyond = fallen[fallen["impulse"] <= LARGE], fallen[fallen["impulse"] > LARGE]
     force = fallen[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
     values = {
         "recovered": small["recovered"],
@@ -123,7 +124,7 @@ def study_table(runs: Mapping[str, pd.DataFrame], figures: Figures) -> dict[str,
                 change = (paired[figure] - paired[f"{figure}_base"]).dropna().tolist()
                 if len(change) > 1:
                     difference = (float(np.mean(change)), *bootstrap_interval(change))
-            table[name][figure] = Cell(float(np.mean(values)), low, high, difference)
+            table[name][figure] = Cell(float(np.mean(values)), low, high, len(values), difference)
     return table
 
 
@@ -177,7 +178,9 @@ def as_frame(table: Mapping[str, Mapping[str, Cell]]) -> pd.DataFrame:
 
 
 def _text(cell: Cell, digits: int, bold: str) -> str:
-    out = f"{cell.mean:.{digits}f} [{cell.low:.{digits}f}, {cell.high:.{digits}f}]"
+    out = f"{cell.mean:.{digits}f}"
+    if cell.seeds > 1:  # one says nothing of the others
+        out += f" [{cell.low:.{digits}f}, {cell.high:.{digits}f}]"
     if cell.difference is not None:
         mean, low, high = cell.difference
         change = f"{mean:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
