@@ -17,7 +17,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 from recipes import study_runs
-from recipes.study_runs import Run, Test, battery_of, in_test, plan, tested
+from recipes.study_runs import Run, battery_of, in_test, plan
 from tests.test_recipes import run
 from zfall.evaluation.battery import battery_env
 
@@ -258,7 +258,7 @@ def test_each_of_two_policies_acts_in_its_own_mode(role, expected, monkeypatch):
         study_runs, "load_run", lambda latest, name: (cfg.env, Says(1.0 if name == "this" else 2.0))
     )
     run = Run("row", 0, cfg, (role, "other"), ())
-    _, actor = tested(run, Test("", None, ""), Path())
+    _, actor = study_runs.tested(run, study_runs.Test("", None, ""), Path())
     td = TensorDict({"observation": torch.zeros(3, 4), "mode": torch.eye(3)}, [3])
     assert actor(td)["action"][:, 0].tolist() == expected
 
