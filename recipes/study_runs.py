@@ -116,7 +116,7 @@ def plan(study: DictConfig) -> list[Run]:
     same: dict[str, str] = {}
     for run in runs:
         for test in run.tests:
-            what = ", ".join(filter(None, (run.row, f"seed {run.seed}", test.title)))
+            what = shown(run, test)
             if test.name in same:
                 raise ValueError(f"rows must differ, {what} and {same[test.name]} are the same.")
             same[test.name] = what
@@ -263,8 +263,12 @@ def mark_failed(run: Run, test: Test, error: Exception, runs: Path) -> None:
     """Writes down why a test has no figures."""
     runs.mkdir(parents=True, exist_ok=True)
     failure_file(runs, test).write_text(in_one_line(error))
-    what = ", ".join(filter(None, (run.row, f"seed {run.seed}", test.title)))
-    print(f"{what}, failed: {in_one_line(error)}")
+    print(f"{shown(run, test)} failed: {in_one_line(error)}")
+
+
+def shown(run: Run, test: Test) -> str:
+    """What to call a test in a message."""
+    return f"{run.row} (seed {run.seed}{', ' * bool(test.title)}{test.title})"
 
 
 def train(cfg: DictConfig, folder: Path) -> None:

@@ -130,7 +130,7 @@ def test_rows_that_are_the_same_are_refused(studies, tmp_path):
     path.write_text(STUDY.replace("[symmetry=augmentation]", "[seed=0]"))
     done = run("ablate", *studies, "study=tiny")
     assert done.returncode != 0
-    assert "rows must differ, mirrored and none are the same" in done.stderr
+    assert "rows must differ, mirrored (seed 0) and none (seed 0) are the same" in done.stderr
 
 
 def test_two_policies_are_trained_once_and_tested_in_each_world(studies, tmp_path):
@@ -196,8 +196,11 @@ def test_what_no_policy_can_stand_beside_is_refused(beside):
     ("change", "message"),
     [
         ({"training_size": "0.45"}, "study.training_size must be one of 0.1, 0.4, got 0.45"),
-        ({"seeds": [0, 0]}, "none, seed 0 and none, seed 0 are the same"),
-        ({"tests": {"a": None, "b": None}}, "none, seed 0, b and none, seed 0, a are the same"),
+        ({"seeds": [0, 0]}, r"none \(seed 0\) and none \(seed 0\) are the same"),
+        (
+            {"tests": {"a": None, "b": None}},
+            r"none \(seed 0, b\) and none \(seed 0, a\) are the same",
+        ),
         ({"battery": {"name": "planar", "start": 1}}, "options of battery planar are .* got start"),
         ({"beside": {"none": "best"}}, "study.beside must give none one policy"),
         (
