@@ -19,19 +19,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.study_runs import (
-    STUDY,
-    Run,
-    Test,
-    battery_of,
-    execute,
-    failure_file,
-    frames_done,
-    plan,
-    result_file,
-    run_folder,
-    unfinished,
-)
+from recipes.study_plan import STUDY, Run, Test, battery_of, plan, run_folder
+from recipes.study_runs import execute, failure_file, frames_done, result_file, unfinished
 from zfall.evaluation.ablation import (
     KNEEL,
     PLANAR,

@@ -16,8 +16,8 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
-from recipes import study_runs
-from recipes.study_runs import Run, battery_of, in_test, plan
+from recipes import study_plan, study_runs
+from recipes.study_plan import Run, battery_of, in_test, plan
 from tests.test_recipes import run
 from zfall.evaluation.battery import battery_env
 
@@ -232,7 +232,7 @@ def test_results_of_other_movements_are_others(monkeypatch, tmp_path):
     other.write_bytes(b"other movements")
     with initialize_config_module("recipes", version_base=None):
         before = [run.tests[0].name for run in plan(study)]
-        monkeypatch.setitem(study_runs.READ_BY, "KneelReference", other)
+        monkeypatch.setitem(study_plan.READ_BY, "KneelReference", other)
         after = [run.tests[0].name for run in plan(study)]
     assert not set(before) & set(after)
 
@@ -261,7 +261,7 @@ def test_each_of_two_policies_acts_in_its_own_mode(role, expected, monkeypatch):
         study_runs, "load_run", lambda latest, name: (cfg.env, Says(1.0 if name == "this" else 2.0))
     )
     run = Run("row", 0, cfg, (role, "other"), ())
-    _, actor = study_runs.tested(run, study_runs.Test("", None, ""), Path())
+    _, actor = study_runs.tested(run, study_plan.Test("", None, ""), Path())
     td = TensorDict({"observation": torch.zeros(3, 4), "mode": torch.eye(3)}, [3])
     assert actor(td)["action"][:, 0].tolist() == expected
 

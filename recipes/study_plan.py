@@ -1,0 +1,226 @@
+"""The plan of a study: what is trained, beside what it acts, and in which worlds it is tested."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from hydra import compose
+from omegaconf import DictConfig, OmegaConf
+
+from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
+from zfall import checkpoint
+from zfall.envs.model import identity_of
+from zfall.evaluation.battery import robot_of
+from zfall.evaluation.definitions import Battery, load_battery
+
+STUDY = {
+    *("name", "base", "rows", "seeds", "row_seeds", "total_frames", "battery", "training_size"),
+    *("tests", "beside"),
+}
+SCRIPT = "script"  # in the place of a policy that kneels
+ASSETS = Path(str(files("zfall.envs"))) / "assets"
+MOVEMENTS = ASSETS / "zeroth01_catches.npz"
+READ_BY = {  # files whose content a world depends on, by what reads them
+    "KneelReference": MOVEMENTS,
+    "FallingStart": ASSETS / "zeroth01_falls.npz",
+    "load_fall_network": ASSETS / "zeroth01_fall_network.pt",
+    "ReferenceStart": ASSETS / "zeroth01_motions.npz",
+}
+
+
+@dataclass(frozen=True)
+class Test:
+    """A world in which the policies of a study are tested.
+
+    Args:
+        title: of the table; empty if each is tested in its own world.
+        env_cfg: config of the env, but for what the policy sees and does; ``None``: its own.
+        name: tells its result from all others, whatever study they belong to.
+    """
+
+    title: str
+    env_cfg: DictConfig | None
+    name: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One row with one seed.
+
+    Args:
+        row: its name.
+        seed: of the training.
+        cfg: of ``recipes.train``, as it is run.
+        beside: ``recover`` or ``kneel``, and the policy of that mode, which the mode machine
+            switches with: the name of one that ships, ``script``, or the config of its training.
+        tests: where it is tested.
+    """
+
+    row: str
+    seed: int
+    cfg: DictConfig
+    beside: tuple[str, str | DictConfig] | None
+    tests: tuple[Test, ...]
+
+    @property
+    def trainings(self) -> list[DictConfig]:
+        """All that is to be trained."""
+        other = self.beside[1] if self.beside else None
+        return [self.cfg, *([other] if isinstance(other, DictConfig) else [])]
+
+
+def plan(study: DictConfig) -> list[Run]:
+    """All runs of a study; every config is composed now, so that a bad one fails before any runs.
+
+    Raises:
+        ValueError: if two rows, seeds or tests are the same, something is said of a row that is
+            not there, or a test cannot tell what the table shows.
+    """
+    battery = battery_of(study)
+    size = OmegaConf.select(study, "training_size")
+    if not battery.forces and size not in (sizes := [f"{i:g}" for i in battery.impulses]):
+        raise ValueError(f"study.training_size must be one of {', '.join(sizes)}, got {size}.")
+    for key in ("beside", "row_seeds"):
+        unknown = set(OmegaConf.select(study, key) or {}) - set(study.rows)
+        if unknown:
+            raise ValueError(
+                f"study.{key} must name rows ({', '.join(map(str, study.rows))}), "
+                f"got {sorted(map(str, unknown))[0]}."
+            )
+    runs = []
+    for row, overrides in study.rows.items():
+        for seed in (OmegaConf.select(study, "row_seeds") or {}).get(row, study.seeds):
+            cfg = training([*study.base, *overrides], seed, study)
+            beside = _beside(study, row, seed)
+            tests = _tests(study, cfg, beside)
+            if beside is not None:
+                _check_switched(str(row), cfg, beside, tests)
+            runs.append(Run(str(row), int(seed), cfg, beside, tests))
+    same: dict[str, str] = {}
+    for run in runs:
+        for test in run.tests:
+            what = shown(run, test)
+            if test.name in same:
+                raise ValueError(f"rows must differ, {what} and {same[test.name]} are the same.")
+            same[test.name] = what
+    return runs
+
+
+def battery_of(study: DictConfig) -> Battery:
+    """The battery of a study, with its options."""
+    options: dict[str, Any] = dict(OmegaConf.to_container(study.battery))  # type: ignore[arg-type]
+    return load_battery(options.pop("name"), **options)
+
+
+def training(overrides: Sequence[str], seed: int, study: DictConfig) -> DictConfig:
+    """The config of a training of a study; a row may have a ``total_frames`` of its own."""
+    own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
+    return compose("train", overrides=[*own, *overrides])
+
+
+def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConfig] | None:
+    given = (OmegaConf.select(study, "beside") or {}).get(row)
+    if given is None:
+        return None
+    parts = list(given.items()) if isinstance(given, DictConfig) else []
+    role, other = parts[0] if len(parts) == 1 else ("", "")
+    if not other or not (role == "kneel" or (role == "recover" and other != SCRIPT)):
+        raise ValueError(
+            f"study.beside must give {row} one policy, recover: NAME or kneel: NAME, a list of "
+            f"overrides in place of NAME, or kneel: script; got {given}."
+        )
+    return str(role), other if isinstance(other, str) else training(list(other), seed, study)
+
+
+def _check_switched(
+    row: str, cfg: DictConfig, beside: tuple[str, str | DictConfig], tests: Sequence[Test]
+) -> None:
+    """Refuses a policy beside another where nothing switches, or that sees or does other things."""
+    for test in tests:
+        mode = OmegaConf.select(in_test(test, cfg.env), "transforms.mode")
+        if mode is None or mode.initial != "recover":
+            raise ValueError(
+                f"study.tests must switch what stands beside {row}: a world with a mode machine "
+                f"that begins in recover, got {test.title or 'its own'}."
+            )
+    role, other = beside
+    if isinstance(other, str):
+        if other == SCRIPT:
+            return
+        other = OmegaConf.create(checkpoint.load(checkpoint_of(other))["config"])
+    check_same_interface({row: cfg, role: other})
+
+
+def _tests(
+    study: DictConfig, cfg: DictConfig, beside: tuple[str, str | DictConfig] | None
+) -> tuple[Test, ...]:
+    wanted: dict[str, Any] = {
+        "training": training_digest(cfg),
+        "battery": asdict(battery_of(study)),
+        "training_size": OmegaConf.select(study, "training_size"),
+    }
+    if beside is not None:
+        role, other = beside
+        if isinstance(other, DictConfig):
+            wanted["beside"] = [role, training_digest(other)]
+        else:
+            path = MOVEMENTS if other == SCRIPT else checkpoint_of(other)
+            wanted["beside"] = [role, other, file_digest(path)]
+    tests = []
+    for title, overrides in (OmegaConf.select(study, "tests") or {"": None}).items():
+        env_cfg, more = None, {}
+        if overrides is not None:
+            env_cfg = compose("train", overrides=[*study.base, *overrides]).env
+            more = {"test": env_digest(env_cfg)}
+        tests.append(Test(str(title), env_cfg, digest(wanted | more)))
+    return tuple(tests)
+
+
+def digest(value: Any) -> str:
+    """Twelve digits that tell a value from all others."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def file_digest(path: Path) -> str:
+    """Tells the content of a file from all others."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def env_digest(env_cfg: DictConfig) -> str:
+    """Tells a world from all others, by its config, its robot, and the files it reads."""
+    text = OmegaConf.to_yaml(env_cfg, resolve=True)
+    read = {name: file_digest(path) for name, path in READ_BY.items() if name in text}
+    return digest({"env": text, "robot": identity_of(robot_of(env_cfg)), "files": read})
+
+
+def training_digest(cfg: DictConfig) -> str:
+    """Tells a training from all others."""
+    wanted = {"config": OmegaConf.to_yaml(cfg, resolve=True), "env": env_digest(cfg.env)}
+    if cfg.warm_start is not None:
+        wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start))
+    return digest(wanted)
+
+
+def run_folder(runs: Path, cfg: DictConfig) -> Path:
+    """Where a training of this config lies, whatever study or row it is for."""
+    return runs / training_digest(cfg)
+
+
+def in_test(test: Test, own_cfg: DictConfig) -> DictConfig:
+    """The world of a test, in which a policy sees, does and decides as in its own."""
+    if test.env_cfg is None:
+        return own_cfg
+    env_cfg = test.env_cfg.copy()
+    env_cfg.base_env.control_dt = own_cfg.base_env.control_dt
+    for name in INTERFACE:
+        env_cfg.transforms[name] = own_cfg.transforms[name]
+    return env_cfg
+
+
+def shown(run: Run, test: Test) -> str:
+    """What to call a test in a message."""
+    return f"{run.row} (seed {run.seed}{', ' * bool(test.title)}{test.title})"
