@@ -11,7 +11,8 @@ import onnxruntime
 policy = onnxruntime.InferenceSession(sys.argv[1])
 about = json.loads(Path(sys.argv[2]).read_text())
 seconds, push = 10.0, np.array([0.0, 20.0, 0.0])  # for 0.1 s after 3 s [N], on the torso
-model = mujoco.MjModel.from_xml_path(about.get("mjcf", "zfall/envs/assets/zeroth01.xml"))
+mjcf = Path(__file__).parents[1] / "zfall/envs/assets/zeroth01.xml"
+model = mujoco.MjModel.from_xml_path(about.get("mjcf", str(mjcf)))
 model.opt.timestep = about["physics_dt_s"]
 data, stand = mujoco.MjData(model), model.key("stand").id
 mujoco.mj_resetDataKeyframe(model, data, stand)

@@ -1,5 +1,6 @@
 """Runs a push battery: ``python -m recipes.evaluate run=DIR battery=planar``."""
 
+import hashlib
 import itertools
 import shutil
 from collections.abc import Callable
@@ -45,7 +46,7 @@ KEYS = {
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
 def main(cfg: DictConfig) -> None:
-    """Writes ``evaluation/BATTERY/{trials.csv, summary.json, *.png}`` into the run folder."""
+    """Writes ``evaluation/SETTING/{trials.csv, summary.json, *.png}`` into the run folder."""
     console = Console()
     output = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors():
@@ -66,14 +67,14 @@ def main(cfg: DictConfig) -> None:
                 "trial needs a battery whose trials are independent: not envelope, and no keep."
             )
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
-        tested = [Tested.load(cfg, name, output) for name in names]
+        tested = [Tested.load(cfg, name, output, setting_of(cfg)) for name in names]
         if cfg.trial is not None:
             folder = tested[0].folder if len(tested) == 1 else output
             show_trial(battery, tested, cfg, console, folder)
             return
     results = {each.name: run_or_read(battery, each, cfg, console) for each in tested}
     if len(tested) > 1:
-        folder = output / "comparison" / cfg.battery
+        folder = output / "comparison" / setting_of(cfg)
         folder.mkdir(parents=True, exist_ok=True)
         write_comparison(battery, results, folder, console, robot=tested[0].robot)
         console.print(f"wrote {write_report(folder)}")
@@ -82,6 +83,27 @@ def main(cfg: DictConfig) -> None:
             console.print(f"wrote {write_report(Path(each.name))}")
     if not any(output.iterdir()):  # hydra makes it; the results lie in the run folder
         output.rmdir()
+
+
+def setting_of(cfg: DictConfig) -> str:
+    """Name of the folder of results: the battery and what differs from it, ``planar_starts-5``.
+
+    Results of one setting do not overwrite those of another.
+    """
+    given = {key: cfg[key] for key in (*OPTIONS, "change") if cfg[key] not in (None, [])}
+    if cfg.keep:
+        given["keep"] = sorted(cfg.keep)
+    given |= {"seed": cfg.seed} if cfg.seed != 0 else {}
+    given |= {"checkpoint": cfg.checkpoint} if cfg.checkpoint != "last" else {}
+    texts = {
+        k: ",".join(map(str, [v] if isinstance(v, (str, float, int)) else v))
+        for k, v in given.items()
+    }
+    name = "_".join([cfg.battery, *(f"{key}-{text}" for key, text in texts.items())])
+    if len(name) > 100 or "/" in name:
+        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+        name = f"{cfg.battery}_{digest}"
+    return name
 
 
 def run_or_read(

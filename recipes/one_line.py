@@ -1,9 +1,11 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from pathlib import Path
 
 from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig
@@ -14,7 +16,22 @@ def start(main: Callable[[], None]) -> None:
     """Runs a recipe's main from the shell, hydra's own errors included."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # else hydra prints errors its own way, on many lines
     with one_line_errors():
-        main()
+        try:
+            main()
+        except KeyboardInterrupt:
+            print("stopped", file=sys.stderr)
+            raise SystemExit(130) from None
+
+
+def shell_line(recipe: str, *arguments: str) -> str:
+    """What to type to start a recipe with the Python that runs now."""
+    return " ".join([shown_path(Path(sys.executable)), "-m", f"recipes.{recipe}", *arguments])
+
+
+def shown_path(path: Path) -> str:
+    """A path as short as it can be from here."""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from rich.progress import track
 from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from recipes.one_line import check_keys, one_line_errors, start
+from recipes.one_line import check_keys, one_line_errors, shown_path, start
 from recipes.showcase import frame
 from recipes.tested import BASELINES, keep, load_run
 from zfall.evaluation.battery import BLOCK, play
@@ -26,7 +26,7 @@ KEYS = {"run", "checkpoint", "num_envs", "seconds", "seed", "keep", "video"}
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
 def main(cfg: DictConfig) -> None:
-    """Writes ``play.json`` and ``play.mp4`` into the run folder."""
+    """Writes ``play.json`` and ``play.mp4`` into the run folder, or hydra's if there is none."""
     console = Console()
     with one_line_errors():
         check_keys(cfg, KEYS)
@@ -43,18 +43,19 @@ def main(cfg: DictConfig) -> None:
         env.append_transform(get_primers_from_module(actor))
     env.set_seed(cfg.seed)
     results, states, forces = walk(env, actor, cfg.seconds, console)
-    folder = Path(cfg.run)
+    output = Path(HydraConfig.get().runtime.output_dir)
+    folder = Path(cfg.run) if Path(cfg.run).is_dir() else output  # one that ships has none
     (folder / "play.json").write_text(json.dumps(results, indent=2))
     for key, value in results.items():
         console.print(f"{key}: {value:.3g}")
     if cfg.video:
         base = env.base_env
-        rows, columns = {folder.name: states}, [f"world {i}" for i in range(states.shape[1])]
+        rows, columns = {Path(cfg.run).name: states}, [f"world {i}" for i in range(states.shape[1])]
         try:
             film(base.simulation.model, rows, columns, forces, folder / "play.mp4", dt=frame(base))
         except RuntimeError as error:
             console.print(f"no video: {error}")
-    output = Path(HydraConfig.get().runtime.output_dir)
+    console.print(f"wrote {shown_path(folder)}/play.json", soft_wrap=True)
     if not any(output.iterdir()):  # hydra makes it; the results lie in the run folder
         output.rmdir()
 

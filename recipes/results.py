@@ -52,14 +52,14 @@ def write_results(
         battery: the definition.
         trials: with their outcomes.
         baseline: of ``pose_hold`` in a planar battery.
-        folder: where to.
+        folder: where to, named by the battery and its setting.
         console: to print on.
         name: of the policy.
         robot: whose reference lines are drawn.
     """
     summary = summary_of(battery, trials)
     (folder / "summary.json").write_text(json.dumps(summary, indent=2))
-    title = f"{name}, {battery.name}"
+    title = f"{name}, {folder.name.replace('_', ' ')}"
     written = ["trials.csv", "summary.json"]
     if battery.interval is not None:
         rows = pd.DataFrame(summary["withstood"])
@@ -139,7 +139,7 @@ def write_comparison(
     planar = battery.interval is None and not battery.forces
     if planar:
         lines = references(robot, battery.durations[0])
-        title = f"I50, {battery.name}"
+        title = f"I50, {folder.name.replace('_', ' ')}"
         written += _figures(
             folder, "overlay", lambda p: overlay(named, p, title=title, lines=lines)
         )

@@ -15,6 +15,7 @@ from rich.table import Table
 from torch import Tensor
 
 from recipes.learner import Learner
+from recipes.one_line import shell_line, shown_path
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, play, run_battery
 from zfall.evaluation.definitions import Battery, load_battery
@@ -67,7 +68,8 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
     film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
     console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
     console.print(f"  {write_report(folder).name}")
-    console.print(f"next: python -m recipes.evaluate run={folder} battery=planar")
+    line = shell_line("evaluate", f"run={shown_path(folder)}", "battery=planar")
+    console.print(f"next: {line}", soft_wrap=True)
 
 
 def table(summaries: dict[str, dict[str, Any]]) -> Table:

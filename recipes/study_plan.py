@@ -82,6 +82,7 @@ def plan(study: DictConfig) -> list[Run]:
     """
     battery = battery_of(study)
     size = OmegaConf.select(study, "training_size")
+    size = size if size is None else f"{float(size):g}"
     if not battery.forces and size not in (sizes := [f"{i:g}" for i in battery.impulses]):
         raise ValueError(f"study.training_size must be one of {', '.join(sizes)}, got {size}.")
     for key in ("beside", "row_seeds"):

@@ -86,7 +86,7 @@ def figures(run: Run, test: Test, cfg: DictConfig) -> dict[str, float]:
     trials = run_battery(battery, env_cfg, actor)
     timing = pd.read_csv(folder / "timing.csv")
     frames = int(pd.read_csv(folder / "metrics.csv")["frames"].iloc[-1])
-    size = OmegaConf.select(cfg.study, "training_size")
+    size = f"{float(cfg.study.training_size):g}" if not battery.forces else ""
     own = kneel_figures(trials) if battery.forces else planar_figures(battery, trials, size)
     speed = frames / (timing["collect_s"] + timing["learn_s"]).sum()
     return own | {"frames_per_s": float(speed), "frames": frames}

@@ -43,13 +43,13 @@ class Tested:
     weights: str
 
     @classmethod
-    def load(cls, cfg: DictConfig, name: str, output: Path) -> "Tested":
-        """From its folder, or for a baseline by its name."""
+    def load(cls, cfg: DictConfig, name: str, output: Path, setting: str) -> "Tested":
+        """From its folder, or for a baseline by its name; ``setting`` names its results."""
         env_cfg, actor = load_run(cfg, name)
         place = Path(name)
         if name in BASELINES or _shipped(name).exists():
             place = output / name if cfg.runs is not None else output
-        folder = place / "evaluation" / cfg.battery
+        folder = place / "evaluation" / setting
         folder.mkdir(parents=True, exist_ok=True)
         return cls(name, keep(env_cfg, cfg.keep), actor, folder, digest(actor))
 

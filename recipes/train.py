@@ -21,7 +21,7 @@ from torchrl.record import TensorboardLogger
 
 from recipes.learner import Learner
 from recipes.metrics import batch_metrics
-from recipes.one_line import check_keys, one_line_errors, start
+from recipes.one_line import check_keys, one_line_errors, shell_line, shown_path, start
 from recipes.showcase import show
 from recipes.warm_start import warm_start
 from zfall import checkpoint
@@ -46,6 +46,8 @@ def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     with one_line_errors():
         check_keys(cfg, KEYS)
+        if not cfg.total_frames > 0:
+            raise ValueError(f"total_frames must be positive, got {cfg.total_frames}.")
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
         check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
         folder = Path(HydraConfig.get().runtime.output_dir)
@@ -67,10 +69,13 @@ def main(cfg: DictConfig) -> None:
             run.load_state_dict(state["run"])
     console = Console()
     if not train(learner, run, console):
-        console.print(f"stopped; go on with: python -m recipes.train resume={folder}")
+        line = shell_line("train", f"resume={shown_path(folder)}")
+        console.print(f"stopped; go on with: {line}", soft_wrap=True)
         raise SystemExit(130)
     if cfg.showcase:
         show(learner, untrained, folder, console)
+    else:
+        console.print(f"wrote {shown_path(folder)}", soft_wrap=True)
 
 
 def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:

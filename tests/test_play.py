@@ -46,6 +46,12 @@ def test_playing_a_run_writes_its_figures(tmp_path):
     assert "forward_velocity" in (tmp_path / "play.json").read_text()
 
 
+def test_a_policy_that_ships_leaves_its_figures_in_hydras_folder(tmp_path):
+    done = run("play", "run=atalante", "seconds=0.2", "video=false", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    assert "forward_velocity" in (tmp_path / "play.json").read_text()
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

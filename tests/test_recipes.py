@@ -28,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 TINY = ["num_envs=8", "rollout_steps=4", "minibatches=2", "total_frames=64", "checkpoint_every=1",
         "showcase=null"]  # fmt: skip
 SHOW = ["showcase={starts: 1, sizes: [0.4], video: false}"]
+SMALL_SETTING = "planar_point-pelvis_directions-2_impulses-0.2_starts-1_end_time-4.0"
 SMALL = ["starts=1", "directions=2", "impulses=[0.2]", "point=pelvis", "end_time=4.0"]
 
 
@@ -91,7 +92,7 @@ def test_training_leaves_the_files_of_a_run(trained):
 def test_battery_of_a_run_and_of_a_baseline(trained, tmp_path):
     done = run("evaluate", f"run={trained}", "battery=planar", *SMALL, "num_envs=64")
     assert done.returncode == 0, done.stderr
-    folder = trained / "evaluation" / "planar"
+    folder = trained / "evaluation" / SMALL_SETTING
     summary = json.loads((folder / "summary.json").read_text())
     assert {"battery_version", "n", "i50_mean", "i50_min", "i90_mean", "i50", "success", "success_low",
             "success_high", "control_falls", "control_n"} <= set(summary)  # fmt: skip
@@ -107,7 +108,7 @@ def test_battery_of_a_run_and_of_a_baseline(trained, tmp_path):
 def test_battery_of_a_baseline_goes_into_hydras_folder(name, tmp_path):
     done = run("evaluate", f"run={name}", *SMALL, "num_envs=64", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
-    summary = json.loads((tmp_path / "evaluation" / "planar" / "summary.json").read_text())
+    summary = json.loads((tmp_path / "evaluation" / SMALL_SETTING / "summary.json").read_text())
     assert summary["control_falls"] == (2 if name == "limp" else 0)
     assert summary["definition"]["starts"] == 1
 
@@ -313,7 +314,8 @@ def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, 
 
     args = [f"run={trained}", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
             "end_time=3.6", "num_envs=64"]  # fmt: skip
-    folder = trained / "evaluation" / "planar"
+    setting = "planar_point-chest_directions-3_impulses-0.1,0.3_starts-10_end_time-3.6"
+    folder = trained / "evaluation" / setting
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes()
     write = recipe.write_trials
@@ -323,8 +325,8 @@ def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, 
         raise KeyboardInterrupt
 
     monkeypatch.setattr(recipe, "write_trials", cut_off)
-    with pytest.raises(KeyboardInterrupt):
-        run("evaluate", *args)
+    stopped = run("evaluate", *args)
+    assert (stopped.returncode, stopped.stderr) == (130, "stopped\n")
     monkeypatch.setattr(recipe, "write_trials", write)
     assert len(pd.read_csv(folder / "trials.partial.csv")) == 64
     done = run("evaluate", *args)
@@ -337,7 +339,7 @@ def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
     more = [*SMALL, "num_envs=64", f"hydra.run.dir={tmp_path}"]
     done = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)
     assert done.returncode == 0, done.stderr
-    folder = tmp_path / "comparison" / "planar"
+    folder = tmp_path / "comparison" / SMALL_SETTING
     table = pd.read_csv(folder / "comparison.csv").set_index("run")
     assert table.loc[str(trained), "difference"] == 0.0
     assert table.loc["limp", "success"] == 0.0
@@ -351,14 +353,14 @@ def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
 
 def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
     assert run("evaluate", f"run={trained}", *SMALL, "num_envs=64").returncode == 0
-    trials = pd.read_csv(trained / "evaluation" / "planar" / "trials.csv")
+    trials = pd.read_csv(trained / "evaluation" / SMALL_SETTING / "trials.csv")
     done = run("evaluate", f"run={trained}", *SMALL, "trial=3")
     assert done.returncode == 0, done.stderr
     for key in ("peak_tilt", "joint_torque_rms", "recovered", "displacement"):
         value = trials[key][3]
         shown = f"{value:.4g}" if isinstance(value, float) else str(value)
         assert f"{key}: {shown}" in done.stdout
-    folder = trained / "evaluation" / "planar"
+    folder = trained / "evaluation" / SMALL_SETTING
     traces = pd.read_csv(folder / "trial_3.csv")
     assert len(traces) == 100  # 4 s
     assert traces["target/left_knee_pitch"].iloc[0] != 0.0
@@ -370,6 +372,31 @@ def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
     assert "trial must be one of 0 to 3, got 999" in bad.stderr
 
 
+def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
+    assert run("evaluate", f"run={trained}", *SMALL).returncode == 0
+    path = trained / "evaluation" / SMALL_SETTING / "trials.csv"
+    before = path.read_bytes()
+    for more in ("keep=[noise]", "seed=7", 'change=["transforms.action.scale=0.3"]'):
+        assert run("evaluate", f"run={trained}", *SMALL, more).returncode == 0
+        assert path.read_bytes() == before
+    names = {path.name for path in (trained / "evaluation").glob(f"{SMALL_SETTING}_*")}
+    assert {f"{SMALL_SETTING}_keep-noise", f"{SMALL_SETTING}_seed-7"} <= names
+    assert any(
+        "Battery " + name.replace("_", " ") in (trained / "report.html").read_text()
+        for name in names
+    )
+
+
+def test_a_sweep_trains_each_value_in_a_folder_of_its_own(tmp_path, monkeypatch):
+    """The folder of all is made before there is a config of any job."""
+    monkeypatch.chdir(tmp_path)
+    done = run("train", "-m", *TINY, "seed=0,1")
+    assert done.returncode == 0, done.stderr
+    folders = sorted((tmp_path / "runs" / "sweeps").glob("*/*/checkpoints/last.pt"))
+    configs = [OmegaConf.load(path.parents[1] / ".hydra" / "config.yaml") for path in folders]
+    assert [config.seed for config in configs] == [0, 1]
+
+
 def test_run_and_runs_exclude_each_other(trained):
     done = run("evaluate", f"run={trained}", f"runs=[{trained}]")
     assert "runs a list of them; got both" in done.stderr
@@ -379,7 +406,11 @@ def test_envelope_of_a_run_beside_the_held_pose(trained):
     more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
     done = run("evaluate", f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=4.0")
     assert done.returncode == 0, done.stderr
-    folder = trained / "evaluation" / "envelope"
+    folder = (
+        trained
+        / "evaluation"
+        / "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-4.0"
+    )
     table = pd.read_csv(folder / "envelope.csv")
     assert len(table) == 2
     assert table["largest"].isin([0.0, 0.4, 0.8]).all()
@@ -395,7 +426,11 @@ def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypat
 
     more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
     args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=3.6"]
-    folder = trained / "evaluation" / "envelope"
+    folder = (
+        trained
+        / "evaluation"
+        / "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-3.6"
+    )
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()
     real, labels = recipe.run_battery, []
@@ -407,8 +442,8 @@ def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypat
         return real(*given, **known)
 
     monkeypatch.setattr(recipe, "run_battery", counted)
-    with pytest.raises(KeyboardInterrupt):
-        run("evaluate", *args)
+    stopped = run("evaluate", *args)
+    assert (stopped.returncode, stopped.stderr) == (130, "stopped\n")
     assert len(list((folder / "rounds").glob("*.csv"))) == 2
     assert run("evaluate", *args).returncode == 0
     assert len(labels) == 3 + 6 - 2  # two policies, a control arm and two rounds each
@@ -427,13 +462,13 @@ def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypat
 def test_other_batteries_write_their_files(trained, battery, files):
     done = run("evaluate", f"run={trained}", *battery, "num_envs=64")
     assert done.returncode == 0, done.stderr
-    folder = trained / "evaluation" / battery[0].removeprefix("battery=")
+    (folder,) = (trained / "evaluation").glob(f"{battery[0].removeprefix('battery=')}_*")
     for name in ["trials.csv", "summary.json", *files]:
         assert (folder / name).exists(), name
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["control_falls"] == 0
     page = (trained / "report.html").read_text()
-    assert f"Battery {summary['battery']}" in page
+    assert f"Battery {folder.name.replace('_', ' ')}" in page
 
 
 def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
@@ -484,7 +519,8 @@ def test_a_scripted_kneel_needs_modes(tmp_path):
     own = [*kneel, f"hydra.run.dir={tmp_path}"]
     done = run("evaluate", "run=scripted_kneel", *own, "end_time=1.5")
     assert done.returncode == 0, done.stderr
-    path = tmp_path / "evaluation" / "kneel" / "trials.csv"
+    setting = "kneel_directions-1_impulses-1.0_starts-1_force_starts-1_end_time-1.5"
+    path = tmp_path / "evaluation" / setting / "trials.csv"
     script = pd.read_csv(path)
     held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")
     assert held.returncode == 0, held.stderr

@@ -184,7 +184,7 @@ def _text(cell: Cell, digits: int, bold: str) -> str:
     if cell.difference is not None:
         mean, low, high = cell.difference
         change = f"{mean:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
-        if cell.distinct:
+        if cell.distinct and float(f"{mean:.{digits}f}") != 0.0:
             change = rf"\textbf{{{change}}}" if bold == "bold" else f"{bold}{change}{bold}"
         out += f"; {change}"
     return out

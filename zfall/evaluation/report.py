@@ -121,7 +121,8 @@ def _battery(folder: Path) -> Section:
         if (folder / f"{name}.csv").exists():
             tables.append(_html(pd.read_csv(folder / f"{name}.csv")))
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
-    return Section(f"Battery {summary['battery']}", notes=notes, tables=tables, figures=figures)
+    title = f"Battery {folder.name.replace('_', ' ')}"
+    return Section(title, notes=notes, tables=tables, figures=figures)
 
 
 def _comparison(folder: Path) -> Section:
@@ -138,11 +139,12 @@ def _reproduction(folder: Path) -> Section:
         given = " ".join(
             line.removeprefix("- ") for line in overrides.read_text().splitlines() if line != "[]"
         )
-        out.notes.append(f"python -m recipes.train {given}")
+        out.notes.append(f".venv/bin/python -m recipes.train {given}")
     if (folder / "comparison.csv").exists():
         summaries = json.loads((folder / "summary.json").read_text())
         out.notes.append(
-            f"python -m recipes.evaluate 'runs=[{','.join(summaries)}]' battery={folder.name}"
+            f".venv/bin/python -m recipes.evaluate 'runs=[{','.join(summaries)}]' battery="
+            f"{next(iter(summaries.values()))['battery']}"
         )
         given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)
         out.listings.append({"title": "definition of the battery", "body": given})
