@@ -66,6 +66,12 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(
                 "trial needs a battery whose trials are independent: not envelope, and no keep."
             )
+        if isinstance(cfg.runs, str):
+            raise ValueError(f"runs must be a list, [{cfg.runs}], got {cfg.runs}.")
+        if cfg.video and cfg.trial is None:
+            raise ValueError("video needs a trial, by its number in trials.csv: trial=1000.")
+        if cfg.checkpoint not in ("last", "best"):
+            raise ValueError(f"checkpoint must be last or best, got {cfg.checkpoint}.")
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
         tested = [Tested.load(cfg, name, output, setting_of(cfg)) for name in names]
         if cfg.trial is not None:

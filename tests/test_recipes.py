@@ -397,6 +397,23 @@ def test_a_sweep_trains_each_value_in_a_folder_of_its_own(tmp_path, monkeypatch)
     assert [config.seed for config in configs] == [0, 1]
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["runs=best"], "error: runs must be a list, [best], got best."),
+        (["run=best", "video=true"], "error: video needs a trial"),
+        (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
+        (["run=best", "starts=abc"], "error: starts must be a whole number, got abc."),
+        (["run=best", "impulses=0.4"], "error: impulses must be a list of numbers"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused_in_one_line(given, message):
+    done = run("evaluate", *given)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 def test_run_and_runs_exclude_each_other(trained):
     done = run("evaluate", f"run={trained}", f"runs=[{trained}]")
     assert "runs a list of them; got both" in done.stderr

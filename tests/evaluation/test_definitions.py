@@ -83,6 +83,23 @@ def test_kneel_tries_the_listed_forces_and_a_grid():
     assert 1.74 < sizes[7:].min() < sizes[7:].max() < 2.04
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"starts": "abc"}, "starts must be a whole number, got abc"),
+        ({"starts": 2.5}, "starts must be a whole number, got 2.5"),
+        ({"directions": True}, "directions must be a whole number, got True"),
+        ({"impulses": 0.4}, "impulses must be a list of numbers, .*, got 0.4"),
+        ({"impulses": [0.4, "x"]}, "impulses must be a list of numbers, .*, got"),
+        ({"end_time": "late"}, "end_time must be a number, got late"),
+        ({"duration": "short"}, "duration must be a number or a list of numbers, got short"),
+    ],
+)
+def test_options_of_another_kind_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        load_battery("planar", **options)
+
+
 def test_durations_and_sizes_that_make_no_push_are_refused():
     with pytest.raises(ValueError, match="duration must be positive, got 0"):
         load_battery("planar", duration=0)

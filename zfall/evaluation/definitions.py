@@ -1,6 +1,6 @@
 """What the batteries try: their definitions, trials and pushes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -73,6 +73,28 @@ class Pushes:
         return Pushes(self.time[index], self.force[index], self.duration[index], self.point[index])
 
 
+_WHOLE = ("a whole number", lambda value: type(value) is int)
+_NUMBER = ("a number", lambda value: type(value) in (int, float))
+_NUMBERS = ("a list of numbers, [0.2,0.4]", lambda value: _all(value, _NUMBER[1]))
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    **dict.fromkeys(("directions", "starts", "force_starts"), _WHOLE),
+    **dict.fromkeys(("end_time", "resolution"), _NUMBER),
+    "impulses": _NUMBERS,
+    "duration": (
+        "a number or a list of numbers",
+        lambda value: _NUMBER[1](value) or _NUMBERS[1](value),
+    ),
+}
+
+
+def _all(values: Any, fits: Callable[[Any], bool]) -> bool:
+    return not isinstance(values, str) and isinstance(values, Sequence) and all(map(fits, values))
+
+
+def _fits(key: str, value: Any) -> bool:
+    return key not in _KINDS or _KINDS[key][1](value)
+
+
 def load_battery(name: str, **options: Any) -> Battery:
     """A battery by name, with some of its numbers replaced.
 
@@ -88,6 +110,9 @@ def load_battery(name: str, **options: Any) -> Battery:
         raise ValueError(
             f"options of battery {name} are {', '.join(table[name])}, got {unknown[0]}."
         )
+    for key, value in options.items():
+        if not _fits(key, value):
+            raise ValueError(f"{key} must be {_KINDS[key][0]}, got {value}.")
     numbers = table[name] | options
     numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
     if not numbers["impulses"] or min(numbers["impulses"]) <= 0:

@@ -14,7 +14,7 @@ from matplotlib.patheffects import Normal, Stroke
 from zfall.evaluation.pendulum import CAPTION, Reference
 from zfall.evaluation.statistics import largest_withstood, success_table
 
-TITLE = 56  # characters in a line of a title
+TITLE = 44  # characters in a line of a title
 # Told apart without colour.
 LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6"),
           ("o-", "0.0"), ("s--", "0.35"), ("^:", "0.5"), ("D-.", "0.6")]  # fmt: skip
@@ -67,7 +67,7 @@ def success_map(
         _draw_i50(axes, tables[1], ":", "I50 of pose_hold")
     withstood = max([0.0, *(float(i) for x in tables for i in x.columns[(x > 0).any()])])
     known = max([0.0, *(float(line.impulse.max()) for line in lines)]) + step
-    title = textwrap.fill(title, TITLE)
+    title = textwrap.fill(title, TITLE, break_on_hyphens=False)
     reach = min(edges[-1], max(withstood + 2.5 * step, known))
     _draw_references(axes, lines, "white", rim=True)
     axes.set_ylim(0, reach)
@@ -78,9 +78,11 @@ def success_map(
         [0, 45, 90, 135, 180, 225, 270, 315],
         ["forward", "", "left", "", "backward", "", "right", ""],
     )
-    axes.set_yticks([tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < reach])
+    ticks = [tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < reach]
+    rim = [Stroke(linewidth=2.5, foreground="black"), Normal()]  # read on yellow as well
+    axes.set_yticks(ticks, [f"I = {tick}" for tick in ticks], path_effects=rim)
     axes.tick_params(axis="y", colors="white", labelsize=8)
-    axes.set_title(title, fontsize=11)
+    axes.set_title(title, fontsize=10)
     axes.legend(
         loc="upper center",
         bbox_to_anchor=(0.5, -0.1),
@@ -161,7 +163,7 @@ def overlay(
     _draw_references(axes, lines, "0.6")
     axes.set_ylim(0, None)
     axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])
-    axes.set_title(textwrap.fill(title, TITLE), fontsize=10)
+    axes.set_title(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=10)
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=7, title="mean I50"
     )
@@ -202,5 +204,5 @@ def envelope_plot(
         axes.set_title(body, fontsize=9)
         shown = None if place == 1 else handles
         axes.legend(handles=shown, loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=6)
-    figure.suptitle(textwrap.fill(title, TITLE), fontsize=10)
+    figure.suptitle(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=10)
     _save(figure, path, lines)
