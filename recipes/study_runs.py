@@ -14,7 +14,7 @@ from rich.console import Console
 
 from recipes.one_line import in_one_line
 from recipes.study_plan import SCRIPT, Run, Test, battery_of, in_test, run_folder, shown
-from recipes.tested import check_same_interface, load_run
+from recipes.tested import load_run
 from recipes.train import run_training
 from zfall.evaluation.ablation import kneel_figures, planar_figures
 from zfall.evaluation.battery import run_battery
@@ -93,11 +93,7 @@ def figures(run: Run, test: Test, cfg: DictConfig) -> dict[str, float]:
 
 
 def tested(run: Run, test: Test, runs: Path) -> tuple[DictConfig, torch.nn.Module]:
-    """The world of a test with what the policy sees and does in it, and the policy.
-
-    Raises:
-        ValueError: if the policy beside it does not see or do the same.
-    """
+    """The world of a test with what the policy sees and does in it, and the policy."""
     own_cfg, actor = load_run(LATEST, str(run_folder(runs, run.cfg)))
     assert actor is not None  # a run folder holds a policy
     if run.beside is not None:
@@ -107,9 +103,7 @@ def tested(run: Run, test: Test, runs: Path) -> tuple[DictConfig, torch.nn.Modul
             second: Any = StillActor(size)
         else:
             name = other if isinstance(other, str) else str(run_folder(runs, other))
-            second_cfg, second = load_run(LATEST, name)
-            both = {"this": own_cfg, role: second_cfg}
-            check_same_interface({k: OmegaConf.create({"env": v}) for k, v in both.items()})
+            _, second = load_run(LATEST, name)
         parts = {"recover": actor, "kneel": actor} | {role: second}
         actor = SwitchedActor(parts["recover"], parts["kneel"])
     return in_test(test, own_cfg), actor

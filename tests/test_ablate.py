@@ -256,7 +256,6 @@ def test_each_of_two_policies_acts_in_its_own_mode(role, expected, monkeypatch):
 
     cfg = OmegaConf.create({"env": {"num": 0}, "warm_start": None})
     monkeypatch.setattr(study_runs, "run_folder", lambda runs, cfg: Path("this"))
-    monkeypatch.setattr(study_runs, "check_same_interface", lambda configs: None)
     monkeypatch.setattr(
         study_runs, "load_run", lambda latest, name: (cfg.env, Says(1.0 if name == "this" else 2.0))
     )

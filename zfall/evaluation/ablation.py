@@ -13,14 +13,13 @@ from zfall.evaluation.statistics import summarize
 
 # Column: its heading, and its digits.
 Figures = Mapping[str, tuple[str, int]]
-FALLS = {"control_falls": ("falls without a push", 1)}
 PLANAR: Figures = {
     "i50_mean": ("mean I50", 3),
     "i50_min": ("least I50", 2),
     "success": ("success", 3),
     "target_smoothness": ("smoothness [mrad]", 2),
     "joint_torque_rms": ("torque, smallest push [N m]", 2),
-    **FALLS,
+    "control_falls": ("falls without a push", 1),
     "frames_per_s": ("frames/s", 0),
 }
 KNEEL: Figures = {
@@ -31,7 +30,7 @@ KNEEL: Figures = {
     "kneeled_beyond": ("kneeled, larger", 3),
     "base_acceleration": ("acceleration [m/s2]", 0),
     "torso_head_force": ("force on torso, head [N]", 0),
-    **FALLS,
+    "control_falls": ("falls without a push", 1),
 }
 SMALL = 0.55  # pushes of the list up to it are to be recovered from
 LARGE = 1.5  # up to it, they are to end in a kneel
