@@ -15,6 +15,7 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
+from recipes.one_line import check_whole
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
 from zfall.envs.threads import physics_first
@@ -37,7 +38,9 @@ class Learner:
     """
 
     def __init__(self, cfg: DictConfig):
-        for key in ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every"):
+        counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
+        check_whole(cfg, (*counts, "seed", "burn_in"))
+        for key in counts:
             if cfg[key] < 1:
                 raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
         if cfg.showcase:  # refused now rather than after the training

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -62,6 +62,17 @@ def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
             hint = f"; did you mean {near[0]}?" if near else "."
             names = ", ".join(sorted(known))
             raise ValueError(f"{prefix}{key} is not a key of the config ({names}){hint}")
+
+
+def check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
+    """Refuses values that are not whole numbers.
+
+    Raises:
+        ValueError: naming the key.
+    """
+    for key in keys:
+        if type(cfg[key]) is not int:
+            raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
 
 
 def _innermost(error: BaseException) -> str:

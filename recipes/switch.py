@@ -47,6 +47,10 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
     last = configs[names[-1]].env
     env_cfg.base_env = last.base_env
+    if "kneel" in names and last.transforms.get("mode") is None:
+        raise ValueError(
+            f"kneel must be a policy that kneels, trained with modes; {cfg.kneel} is not."
+        )
     own = ("kneel_reference", "mode") if "kneel" in names else ()  # recovering alone needs none
     for name in (*INTERFACE, *own):
         env_cfg.transforms[name] = last.transforms.get(name)

@@ -46,8 +46,8 @@ def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     with one_line_errors():
         check_keys(cfg, KEYS)
-        if not cfg.total_frames > 0:
-            raise ValueError(f"total_frames must be positive, got {cfg.total_frames}.")
+        if not (isinstance(cfg.total_frames, (int, float)) and cfg.total_frames > 0):
+            raise ValueError(f"total_frames must be a positive number, got {cfg.total_frames}.")
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
         check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
         folder = Path(HydraConfig.get().runtime.output_dir)

@@ -210,6 +210,15 @@ def test_batches_are_those_that_were_published(compose_config):
 BAD = [
     (["num_envs=0"], "num_envs must be at least 1, got 0"),
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
+    (["num_envs=abc"], "num_envs must be a whole number, got abc"),
+    (["total_frames=many"], "total_frames must be a positive number, got many"),
+    (
+        [
+            "+env.transforms.reward.terms.knee="
+            "[0.1,{_target_:zfall.envs.terms.posture.reference_posture,_partial_:true}]"
+        ],
+        "env.transforms.reward: reference_posture must be given sigma, which has no default",
+    ),
     (["env.base_env.control_dt=0.03"], "control_dt must be a multiple of physics_dt"),
     (["env.transforms.delay.delay=[0,0.5]"], "env.transforms.delay: delay must be"),
     (["env.transforms.push.point=tail"], "env.transforms.push: point must be a push point"),
@@ -529,6 +538,8 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     assert other.returncode == 0, other.stderr
     bad = run("switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
     assert "must have the same env.transforms.observation" in bad.stderr
+    bad = run("switch", "recover=best", "kneel=best", f"hydra.run.dir={tmp_path}/bad")
+    assert "kneel must be a policy that kneels, trained with modes; best is not" in bad.stderr
 
 
 def test_a_scripted_kneel_needs_modes(tmp_path):

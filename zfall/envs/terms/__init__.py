@@ -17,6 +17,9 @@ def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
     """The term with those of ``known`` that it asks for by name and was not given.
 
     A term that was given another one as ``term`` has that one bound, too.
+
+    Raises:
+        ValueError: if a parameter without a default has no value then.
     """
     if isinstance(term, partial):  # hydra's own kind costs half a millisecond a call
         term = partial(term.func, *term.args, **term.keywords)
@@ -24,4 +27,9 @@ def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
     if "term" in given:
         term = partial(term, term=bind(given["term"], **known))
     asked = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
-    return partial(term, **{name: known[name] for name in asked}) if asked else term
+    bound = partial(term, **{name: known[name] for name in asked}) if asked else term
+    for parameter in inspect.signature(bound).parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY and parameter.default is parameter.empty:
+            name = getattr(getattr(term, "func", term), "__name__", type(term).__name__)
+            raise ValueError(f"{name} must be given {parameter.name}, which has no default.")
+    return bound
