@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
+from zfall.envs.transforms.actions.joint_velocity_target import JointVelocityTarget
 from zfall.envs.transforms.modes import (
     KNEEL,
     RECOVER,
@@ -183,6 +184,24 @@ def test_targets_are_held_in_stable_alone(make_base):
     hold._inv_call(TensorDict({"mode": kneel, "target": first}, batch_size=[2]))
     out = hold._inv_call(TensorDict({"mode": mode, "target": second}, batch_size=[2]))["target"]
     assert torch.equal(out, torch.stack([second[0], first[1]]))
+
+
+def test_targets_of_velocity_stop_in_stable_alone(make_base):
+    """A joint at 2 rad/s, for two steps of 0.04 s: the second is held back in the stable world."""
+    env = make_base(num_envs=2)
+    move, hold = JointVelocityTarget(env, limit=2.0), StableHold(env)
+    modes = torch.tensor([[[0.0, 1, 0], [0, 1, 0]], [[0, 1, 0], [0, 0, 1]]])
+    action = torch.zeros(2, 20)
+    knee = env.robot.joints.index("left_knee_pitch")
+    action[:, knee] = -1.0
+    begin = env.stand_position[knee]
+    for mode in modes:
+        td = TensorDict({"mode": mode, "action": action}, batch_size=[2])
+        td = hold._inv_call(move._inv_call(td))
+    went, lead = td["control"][..., knee] - begin, 2.0 * env.servo_time_constant[knee]
+    assert torch.allclose(went[0, [0, -1]], torch.tensor([-0.08, -0.152]) - lead, atol=1e-6)
+    assert torch.allclose(went[1], torch.tensor(-0.08), atol=1e-6)
+    assert torch.allclose(td["target"][:, knee] - begin, torch.tensor([-0.16, -0.08]), atol=1e-6)
 
 
 @pytest.mark.parametrize(

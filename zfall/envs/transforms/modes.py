@@ -193,7 +193,8 @@ def one_hot(mode: Tensor) -> Tensor:
 class StableHold(Transform):
     """Holds the last target of the servos in mode STABLE, whatever the policy asks for.
 
-    Keys: reads ``mode``, changes ``target`` ``(N, J)`` [rad]; comes after what makes it.
+    Keys: reads ``mode``, changes ``target`` ``(N, J)`` [rad], and ``control`` ``(N, S, J)`` [rad]
+    where there is one: targets that move stop; comes after what makes them.
 
     Args:
         env: the base env.
@@ -211,6 +212,10 @@ class StableHold(Transform):
             raise ValueError("StableHold needs the key mode: put a ModeMachine into the table.")
         stable = mode[:, STABLE, None] > 0
         self.held = torch.where(stable, self.held, tensordict["target"])
+        control = tensordict.get("control", None)
+        if control is not None:
+            control = torch.where(stable[:, None], self.held[:, None], control)
+            tensordict["control"] = control
         return tensordict.set("target", self.held)
 
 
