@@ -184,15 +184,15 @@ def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_con
 
 
 def test_policy_is_the_running_average_of_the_actor(compose_config):
-    """After actors a, b, c: first a, then 0.8 a + 0.2 b, then 0.8 of that + 0.2 c."""
+    """After actors a, b, c, with 0.8 for what came before: 0.64 a + 0.8 b + c, over 2.44."""
     sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1", "averaging=0.8")
     learner = Learner(compose_config(*sizes))
     expected: dict[str, torch.Tensor] = {}
-    for _ in range(3):
+    for weight in (0.64, 0.8, 1.0):
         learner.learn(learner.collect())
         for name, value in learner.actor.named_parameters():
-            before = expected.get(name, value.detach())
-            expected[name] = 0.8 * before + 0.2 * value.detach()
+            share = weight / 2.44 * value.detach()
+            expected[name] = expected.get(name, 0.0) + share
     for name, value in learner.policy.named_parameters():
         assert_close(value.detach(), expected[name])
     buffers = dict(learner.actor.named_buffers())
