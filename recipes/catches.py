@@ -76,7 +76,7 @@ class Falls:
         if not (steps > 0).any():
             return None
         on = torch.arange(env.substeps) < steps[:, None]
-        wrench = env.zero_wrench()
+        wrench = env.wrench_of(TensorDict())
         wrench[:, :, env.push_targets["torso"], :3] = on[..., None] * self.force[rows, None]
         return wrench
 

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.results import write_comparison, write_envelope, write_results
-from recipes.tested import BASELINES, Tested, read_trials, write_trials
+from recipes.tested import BASELINES, Tested, held, load_run, read_trials, write_trials
 from recipes.trial import show_trial
 from zfall.envs.make import left_out
 from zfall.evaluation.battery import run_battery
@@ -73,6 +73,9 @@ def main(cfg: DictConfig) -> None:
         if cfg.checkpoint not in ("last", "best"):
             raise ValueError(f"checkpoint must be last or best, got {cfg.checkpoint}.")
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
+        policies = [name for name in names if name not in BASELINES]
+        if cfg.env is None and len(policies) < len(names) and policies:
+            cfg.env = load_run(cfg, policies[0])[0]  # baselines meet the world of the first policy
         tested = [Tested.load(cfg, name, output, setting_of(cfg)) for name in names]
         if cfg.trial is not None:
             folder = tested[0].folder if len(tested) == 1 else output
@@ -145,8 +148,8 @@ def run_or_read(
     planar = battery.interval is None and not battery.forces
     if planar and tested.name not in BASELINES:
         short = replace(battery, starts=min(battery.starts, 5))
-        held = Tested("pose_hold", tested.env_cfg, None, folder, "")
-        baseline = evaluate(short, held, cfg, console, name="pose_hold, 5 starts")
+        still = Tested("pose_hold", held(tested.env_cfg), None, folder, "")
+        baseline = evaluate(short, still, cfg, console, name="pose_hold, 5 starts")
     write_trials(folder / "trials.csv", trials, asked)
     partial.unlink(missing_ok=True)
     partial.with_suffix(".json").unlink(missing_ok=True)
@@ -172,7 +175,7 @@ def bisect(battery: Battery, tested: Tested, cfg: DictConfig, console: Console) 
     rounds.mkdir(exist_ok=True)
     pairs = {Path(tested.name).name: tested}
     if tested.name not in BASELINES:
-        pairs["pose_hold"] = Tested("pose_hold", tested.env_cfg, None, folder, "")
+        pairs["pose_hold"] = Tested("pose_hold", held(tested.env_cfg), None, folder, "")
     tables: dict[str, pd.DataFrame] = {}
     trials = pd.DataFrame()
     for name, each in reversed(pairs.items()):  # the run's own trials come last, and are kept

@@ -121,7 +121,8 @@ def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, 
     """What a robot needs to know besides the network.
 
     Raises:
-        ValueError: if the action is no position around a pose.
+        ValueError: if the action is no position around a pose, or what is observed is computed
+            by more than the physics.
     """
     base = env.base_env
     actions = [t for t in env.transform if isinstance(t, JointPositionTarget)]
@@ -134,13 +135,19 @@ def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, 
     if others:
         raise ValueError(f"run must have no {others[0]} to be exported: it is not described.")
     spans = vector_spans(env.observation_spec, own[0].keys)
+    size = int(env.observation_spec["observation"].shape[-1])
+    changed = {"observation", *(("measured", key) for key in spans)}
+    others = [type(t).__name__ for t in env.transform if t not in own and changed & {*t.out_keys}]
+    if others or size != max(span.stop for span in spans.values()):
+        name = others[0] if others else "history"
+        raise ValueError(f"run must observe true quantities to be exported, got {name} as well.")
     memory = zero_memory(actor)
     low, high = base.joint_range.unbind(-1)
     return {
         "robot": base.robot.name,
         "control_dt_s": base.control_dt,
         "physics_dt_s": base.physics_dt,
-        "observation_size": int(env.observation_spec["observation"].shape[-1]),
+        "observation_size": size,
         "observation": [
             {"name": str(key), "from": span.start, "to": span.stop, "unit": UNITS.get(key, "")}
             for key, span in spans.items()

@@ -61,7 +61,9 @@ def main(cfg: DictConfig) -> None:
     )
     trials = plan_trials(battery, robot_of(env_cfg).impulse_unit, cfg.seed)
     trials = trials[trials["impulse"] > 0].reset_index(drop=True)
-    env, begin, push = battery_env(battery, env_cfg, 64 * -(-len(trials) // 64))
+    env, begin, push = battery_env(
+        battery, env_cfg, 64 * -(-len(trials) // 64), servos=cfg.run != "limp"
+    )
     base = env.base_env
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
     pushes = plan_pushes(battery, trials)[rows]

@@ -111,6 +111,14 @@ class Learner:
             value_error_clip=loss.value_error_clip,
         )
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        for name, auxiliary in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
+            known = {parameter.data_ptr() for parameter in self.parameters}
+            own = [k for k, v in auxiliary.named_parameters() if v.data_ptr() not in known]
+            if own:
+                raise ValueError(
+                    f"auxiliary_losses.{name} must have no parameters but the actor's and the "
+                    f"critic's, nothing would train or save its {own[0]}."
+                )
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
         inputs = ["observation", "observation_critic", "is_init", *hidden]

@@ -18,7 +18,7 @@ def batch_metrics(
     metrics = {
         "reward": after["reward"].mean().item(),
         "episodes": int(ended.sum()),
-        "falls": int(after["terminated"].sum()),
+        "terminated": int(after["terminated"].sum()),
         "diverged": int(after["diverged"].sum()),
     }
     if ended.any():  # else the columns keep the last value known

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from recipes.learner import Learner
 from recipes.one_line import shell_line, shown_path
+from recipes.tested import held
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, play, run_battery
 from zfall.evaluation.definitions import Battery, load_battery
@@ -46,7 +47,7 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
         before = run_battery(battery, cfg.env, actor)
         actor.load_state_dict(trained)
         after = run_battery(battery, cfg.env, actor)
-        baseline = run_battery(battery, cfg.env, None)
+        baseline = run_battery(battery, held(cfg.env), None)
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
     summaries = {
@@ -101,7 +102,8 @@ def video(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
 ) -> None:
     """Films a push of I = 0.4 from four sides, the policy above ``pose_hold``."""
-    rows = {"trained": record(battery, env_cfg, actor), "pose_hold": record(battery, env_cfg, None)}
+    still = record(battery, held(env_cfg), None)
+    rows = {"trained": record(battery, env_cfg, actor), "pose_hold": still}
     states = {name: qpos for name, (qpos, _) in rows.items()}
     env, _, _ = battery_env(battery, env_cfg, 64)
     base = env.base_env

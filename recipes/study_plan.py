@@ -1,20 +1,16 @@
 """The plan of a study: what is trained, beside what it acts, and in which worlds it is tested."""
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from hydra import compose
 from omegaconf import DictConfig, OmegaConf
 
+from recipes.digests import MOVEMENTS, digest, env_digest, file_digest
 from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
 from zfall import checkpoint
-from zfall.envs.model import identity_of
-from zfall.evaluation.battery import robot_of
 from zfall.evaluation.definitions import Battery, load_battery
 
 STUDY = {
@@ -22,14 +18,6 @@ STUDY = {
     *("tests", "beside"),
 }
 SCRIPT = "script"  # in the place of a policy that kneels
-ASSETS = Path(str(files("zfall.envs"))) / "assets"
-MOVEMENTS = ASSETS / "zeroth01_catches.npz"
-READ_BY = {  # files whose content a world depends on, by what reads them
-    "KneelReference": MOVEMENTS,
-    "FallingStart": ASSETS / "zeroth01_falls.npz",
-    "load_fall_network": ASSETS / "zeroth01_fall_network.pt",
-    "ReferenceStart": ASSETS / "zeroth01_motions.npz",
-}
 
 
 @dataclass(frozen=True)
@@ -179,23 +167,6 @@ def _tests(
             more = {"test": env_digest(env_cfg)}
         tests.append(Test(str(title), env_cfg, digest(wanted | more)))
     return tuple(tests)
-
-
-def digest(value: Any) -> str:
-    """Twelve digits that tell a value from all others."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
-
-
-def file_digest(path: Path) -> str:
-    """Tells the content of a file from all others."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def env_digest(env_cfg: DictConfig) -> str:
-    """Tells a world from all others, by its config, its robot, and the files it reads."""
-    text = OmegaConf.to_yaml(env_cfg, resolve=True)
-    read = {name: file_digest(path) for name, path in READ_BY.items() if name in text}
-    return digest({"env": text, "robot": identity_of(robot_of(env_cfg)), "files": read})
 
 
 def training_digest(cfg: DictConfig) -> str:

@@ -1,6 +1,5 @@
 """What a battery tests: a run's policy in its env, or a baseline; and where its trials are kept."""
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,6 +13,7 @@ from hydra import compose
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from recipes.digests import env_digest, weights_digest
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 from zfall.envs.robots import Robot
@@ -51,7 +51,7 @@ class Tested:
             place = output / name if cfg.runs is not None else output
         folder = place / "evaluation" / setting
         folder.mkdir(parents=True, exist_ok=True)
-        return cls(name, keep(env_cfg, cfg.keep), actor, folder, digest(actor))
+        return cls(name, keep(env_cfg, cfg.keep), actor, folder, weights_digest(actor))
 
     @property
     def robot(self) -> Robot:
@@ -65,20 +65,18 @@ class Tested:
 
     def asked(self, battery: Battery, cfg: DictConfig) -> dict[str, Any]:
         """All that the outcomes follow from: results of the same are the same."""
-        return {
+        asked = {
             "baseline": self.name if self.actor is None else None,
             "weights": self.weights,
             "seed": cfg.seed,
             "keep": list(cfg.keep),
             "definition": json.loads(json.dumps(asdict(battery))),
             "env": OmegaConf.to_yaml(self.env_cfg, resolve=True),
+            "world": env_digest(self.env_cfg),
         }
-
-
-def digest(actor: torch.nn.Module | None) -> str:
-    """What tells the weights of a policy from those of any other."""
-    values = [] if actor is None else actor.state_dict().values()
-    return hashlib.sha256(b"".join(value.numpy().tobytes() for value in values)).hexdigest()
+        if cfg.keep:  # noise and delays are drawn for all worlds that run together
+            asked["num_envs"] = cfg.num_envs
+        return asked
 
 
 def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | None]:
@@ -97,9 +95,7 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         kneels = given.transforms.get("kneel_reference") is not None
         if run == "scripted_kneel" and not kneels:
             raise ValueError("scripted_kneel needs an env with modes: env=push_to_kneel.")
-        if run != "scripted_kneel" and kneels:  # else they would kneel by script, too
-            given = changed(given, ["transforms.kneel_reference=null"])
-        return given, None
+        return given if run == "scripted_kneel" else held(given), None
     path = checkpoint_of(run, cfg.checkpoint)
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])
@@ -109,6 +105,13 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
     checkpoint.check_fits(content, identity_of(env.base_env.robot), actor, path)
     actor.load_state_dict(content["policy"])
     return env_cfg, actor
+
+
+def held(env_cfg: DictConfig) -> DictConfig:
+    """The env's config for a baseline that does nothing: with modes it would kneel by script."""
+    if env_cfg.transforms.get("kneel_reference") is None:
+        return env_cfg
+    return changed(env_cfg, ["transforms.kneel_reference=null"])
 
 
 INTERFACE = ("action", "observation")  # transforms by which a policy acts and sees

@@ -33,8 +33,7 @@ KEYS = {
     *("env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
     *("auxiliary_losses", "auxiliary_share", "augmentation"),
 }
-
-
+WINDOW = 10  # updates over which the best checkpoint is looked for
 LOSS_KEYS = {
     *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
     *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
@@ -56,10 +55,19 @@ def main(cfg: DictConfig) -> None:
             folder = Path(cfg.resume)
             state = checkpoint.load(folder / "checkpoints" / "last.pt")
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
-            shutil.rmtree(HydraConfig.get().runtime.output_dir)  # hydra's, of no use here
+            remove_unused(Path(HydraConfig.get().runtime.output_dir), folder)
+        elif (folder / "metrics.csv").exists():
+            raise ValueError(
+                f"hydra.run.dir must be a folder without a run, {folder} holds one; "
+                f"resume={shown_path(folder)} goes on with it."
+            )
         learner = Learner(cfg)
-        if state is None and cfg.warm_start is not None:
-            warm_start(learner, cfg.warm_start)
+        if cfg.warm_start is not None:
+            try:
+                warm_start(learner, cfg.warm_start)
+            except (ValueError, OSError):
+                if state is None:  # a run that goes on needs it only to show what was before
+                    raise
         untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
         run = RunFolder(folder)
         if state is not None:
@@ -92,6 +100,12 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     elif cfg.warm_start is not None:
         warm_start(learner, cfg.warm_start)
     return train(learner, run, console)
+
+
+def remove_unused(made: Path, folder: Path) -> None:
+    """Removes the folder that hydra made for this call, if ``folder`` is not in it."""
+    if not folder.resolve().is_relative_to(made.resolve()):
+        shutil.rmtree(made)
 
 
 def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictConfig:
@@ -193,8 +207,8 @@ class RunFolder:
             raise PermissionError(f"hydra.run.dir must be writable, {folder} is not.")
         self.board = TensorboardLogger(exp_name="tensorboard", log_dir=str(folder))
         self.last = {"episode_return": math.nan, "episode_seconds": math.nan}
-        self.recent: list[float] = []  # mean rewards of the last updates
-        self.best = -math.inf
+        self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
+        self.best: tuple[float, ...] = ()
 
     def write(
         self,
@@ -212,7 +226,7 @@ class RunFolder:
             times: when the update began, had its batch, and ended [s].
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
-        self.recent = [*self.recent, metrics["reward"]][-10:]
+        self.note(metrics)
         row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
         row |= {key: losses.pop(key) for key in ("kl", "passes")}
         row["learning_rate"] = learner.optimizer.param_groups[0]["lr"]
@@ -229,14 +243,25 @@ class RunFolder:
         for key, value in row.items():
             self.board.log_scalar(key, value, step=learner.frames)
 
+    def note(self, metrics: dict[str, float]) -> None:
+        """Remembers how good an update's episodes were, if any ended."""
+        if "episode_return" in metrics:
+            level = metrics.get("curriculum/level", 0.0)
+            self.recent = [*self.recent, (level, metrics["episode_return"])][-WINDOW:]
+
     def save_last_and_best(self, learner: Learner) -> None:
-        """Writes ``last.pt``, and ``best.pt`` if the mean reward was never higher."""
-        mean = sum(self.recent) / len(self.recent)
-        better = mean > self.best
-        self.best = max(mean, self.best)
-        self.save(learner, "last")
-        if better:
+        """Writes ``last.pt``, and before it ``best.pt`` if the run was never better.
+
+        Better is a higher level of the curriculum (in hundredths), then a higher return of the
+        episodes that ended, both in the mean over the last ten updates; with fewer than ten, later.
+        """
+        levels, returns = zip(*self.recent, strict=True) if self.recent else ((), ())
+        count = max(1, len(self.recent))
+        score = (len(self.recent), round(sum(levels) / count, 2), sum(returns) / count)
+        if score > self.best:
+            self.best = score
             self.save(learner, "best")
+        self.save(learner, "last")
 
     def save(self, learner: Learner, name: str) -> None:
         """Writes ``checkpoints/NAME.pt``."""

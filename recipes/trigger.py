@@ -118,7 +118,8 @@ def record(
         end_time=3.0,
     )
     trials = plan_trials(battery, robot_of(env_cfg).impulse_unit, cfg.seed)
-    env, begin, push = battery_env(battery, env_cfg, 64 * -(-len(trials) // 64))
+    worlds = 64 * -(-len(trials) // 64)
+    env, begin, push = battery_env(battery, env_cfg, worlds, servos=cfg.run != "limp")
     base = env.base_env
     env.set_seed(cfg.seed)
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
@@ -215,16 +216,18 @@ def table(
 ) -> pd.DataFrame:
     """How early and how often wrong each trigger is.
 
-    ``detected``: share of the falls that it saw before the first touch; ``lead_s``: median time
-    from trigger to touch in these; ``false_alarms``: share of the other trials it gave up.
+    ``detected``: share of the falls that it saw between the push's begin and the first touch, and
+    not before; ``lead_s``: median time from trigger to touch in these; ``false_alarms``: share of
+    the other trials it gave up.
     """
     rows = []
     steps = torch.arange(history.live.shape[1])
     touch = torch.where(history.live, 10**6, steps).amin(1)
+    begin = int((~history.pushed).sum())  # the first step after the push has begun
     for name, state in triggered.items():
         first = torch.where(state, steps, 10**6).amin(1)
         falls, stays = history.fell, ~history.fell
-        seen = falls & (first < touch)
+        seen = falls & (first < touch) & (first >= begin)
         lead = ((touch - first)[seen].double() * control_dt).median() if seen.any() else torch.nan
         rows.append(
             {

@@ -9,7 +9,7 @@ from zfall.envs.model import identity_of
 
 
 def warm_start(learner: Learner, run: str) -> None:
-    """Gives the actor, and the critic if it sees the same and is of its shape, a run's weights.
+    """Gives the actor, and the critic if it sees the same and is configured alike, a run's weights.
 
     The deviation of a plain Gaussian that does not depend on the state stays as configured, so
     that the policy explores anew.
@@ -27,15 +27,18 @@ def warm_start(learner: Learner, run: str) -> None:
     check_same_interface({run: theirs, "this run": learner.cfg})
     robot = identity_of(learner.env.base_env.robot)
     checkpoint.check_fits(content, robot, learner.actor, path)
+    untold = ("activation", "std_range") if learner.cfg.actor.get("components") else ("activation",)
+    for key in untold:  # which no weight tells of
+        one, other = (cfg.actor.get(key) for cfg in (theirs, learner.cfg))
+        if one != other:
+            raise ValueError(
+                f"{run} and this run must have the same actor.{key}, got {one} and {other}."
+            )
     state_std = any("deviation" in key for key in content["policy"])
     own = () if state_std else ("log_std",)
     weights = {k: v for k, v in content["policy"].items() if not k.endswith(own)}
     for module in (learner.actor, learner.policy):
         module.load_state_dict(weights, strict=False)
-    critic = content.get("critic", {})
-    mine = learner.critic.state_dict()
     seen = [cfg.env.transforms.get("observation_critic") for cfg in (theirs, learner.cfg)]
-    if seen[0] == seen[1] and {k: v.shape for k, v in critic.items()} == {
-        k: v.shape for k, v in mine.items()
-    }:
-        learner.critic.load_state_dict(critic)
+    if "critic" in content and seen[0] == seen[1] and theirs.critic == learner.cfg.critic:
+        learner.critic.load_state_dict(content["critic"])

@@ -22,6 +22,16 @@ def test_states_at_given_times_and_what_is_left_of_the_push(tmp_path):
     assert (force[left < 0.01] == 0.0).all()
 
 
+def test_a_limp_robot_falls_otherwise_than_one_that_holds_its_pose(tmp_path):
+    bent = {}
+    for name in ("limp", "pose_hold"):
+        own = [*HARD, "times=[0.08]", f"hydra.run.dir={tmp_path}/{name}"]
+        assert run("falls", f"run={name}", *own).returncode == 0
+        with np.load(tmp_path / name / "falls.npz") as falls:
+            bent[name] = np.abs(falls["joint_position"] - ZEROTH01.stand_position).max(axis=1)
+    assert bent["limp"].mean() > 2 * bent["pose_hold"].mean()
+
+
 def test_states_at_the_trigger_of_a_policy_that_kneels(tmp_path):
     """Once for each push, while it goes on or after it."""
     done = run("falls", "run=kneel", *HARD, "times=null", f"hydra.run.dir={tmp_path}")

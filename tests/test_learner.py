@@ -5,6 +5,7 @@ import torch
 from tensordict import TensorDictBase
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
+from torchrl.objectives import LossModule
 
 from recipes.learner import Learner
 from zfall.modules.actors import normalizer_of
@@ -339,6 +340,14 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
 
 
+class LossOfItsOwn(LossModule):
+    """With a layer that nothing would train."""
+
+    def __init__(self, actor):
+        super().__init__()
+        self.actor, self.decoder = actor, torch.nn.Linear(3, 1)
+
+
 FAULTS = [
     (["auxiliary_share=0"], r"auxiliary_share must lie in \(0, 1\], got 0"),
     (["critic.normalize=shared", "actor.normalize=false"], "needs an actor that has a normaliser"),
@@ -347,6 +356,8 @@ FAULTS = [
     (["loss.normalize_advantage=epoch"], "must be minibatch, batch or null, got epoch"),
     (["symmetry=loss", "env=zeroth_fall", "+env.transforms.stack={_target_: torchrl.envs.CatFrames, N: 2, dim: -1, in_keys: [observation], out_keys: [observation]}"],
      "a mirrored observation must be one vector"),
+    (["+auxiliary_losses.own={_target_: tests.test_learner.LossOfItsOwn}"],
+     "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
 ]  # fmt: skip
 
 

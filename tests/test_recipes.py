@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 
 from recipes.one_line import start
 from recipes.tested import keep
-from recipes.train import garbage_collector_of_new_things
+from recipes.train import RunFolder, garbage_collector_of_new_things
 from zfall import checkpoint
 from zfall.envs.make import left_out
 
@@ -257,6 +257,40 @@ def test_resuming_with_another_actor_is_refused(trained, tmp_path):
     done = run("train", f"resume={trained}", "actor=mlp_mog", f"hydra.run.dir={tmp_path}")
     assert done.returncode != 0
     assert "actor must not be given with resume" in done.stderr
+
+
+def test_a_folder_that_holds_a_run_is_not_trained_into(trained):
+    before = (trained / "metrics.csv").read_text()
+    done = run("train", *TINY, f"hydra.run.dir={trained}")
+    assert done.returncode != 0
+    assert f"hydra.run.dir must be a folder without a run, {trained} holds one" in done.stderr
+    assert (trained / "metrics.csv").read_text() == before
+
+
+@pytest.mark.parametrize("where", ["", "/.."])
+def test_a_run_survives_being_resumed_into_its_own_folder(where, tmp_path):
+    folder = tmp_path / "runs" / "one"
+    assert run("train", *TINY, f"hydra.run.dir={folder}").returncode == 0
+    more = [f"resume={folder}", "total_frames=96", f"hydra.run.dir={folder}{where}"]
+    done = run("train", *more)
+    assert done.returncode == 0, done.stderr
+    assert pd.read_csv(folder / "metrics.csv")["frames"].tolist() == [32, 64, 96]
+
+
+def test_the_best_checkpoint_is_the_hardest_level_then_the_highest_return(tmp_path):
+    """Told updates with a return and a level, a save after each; later ones while there are few."""
+    saved = []
+    folder = RunFolder(tmp_path)
+    folder.save = lambda learner, name: saved.append((learner, name))
+    returns = [*[9.0] * 9, *[1.0] * 10, *[2.0] * 10, *[1.5] * 20]
+    for number, value in enumerate(returns):
+        level = 0.5 if number >= 39 else 0.0
+        folder.note({"episode_return": value, "curriculum/level": level})
+        folder.save_last_and_best(number)
+    best = [number for number, name in saved if name == "best"]
+    assert best[:10] == list(range(10))  # nine with 9 and one with 1: not to be beaten below
+    assert set(best[10:]) == set(range(39, 49))  # until the level counts
+    assert [name for number, name in saved if number == 5] == ["best", "last"]
 
 
 def test_checkpoint_of_another_robot_is_refused(trained, tmp_path):

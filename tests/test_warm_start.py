@@ -37,8 +37,10 @@ def test_the_policy_acts_as_that_run_and_explores_as_configured(trained, compose
     assert all(torch.equal(saved[k], v) for k, v in learner.critic.state_dict().items())
 
 
-def test_a_critic_of_another_shape_begins_anew(trained, compose_config):
-    learner = Learner(compose_config("num_envs=8", "rollout_steps=2", "critic.num_cells=[32]"))
+@pytest.mark.parametrize("other", ["num_cells=[32]", "scale=5.0", "activation=tanh"])
+def test_a_critic_that_is_configured_otherwise_begins_anew(trained, compose_config, other):
+    """In another unit the same weights would say other values."""
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=2", f"critic.{other}"))
     before = [p.clone() for p in learner.critic.parameters()]
     warm_start(learner, str(trained))
     assert all(map(torch.equal, before, learner.critic.parameters()))
@@ -50,6 +52,7 @@ def test_a_critic_of_another_shape_begins_anew(trained, compose_config):
         ("env.transforms.action.scale=0.5", r"must have the same env.transforms.action, got .*0\.6.* and .*0\.5"),
         ("env.base_env.control_dt=0.02", "must have the same env.base_env.control_dt, got 0.04 and 0.02"),
         ("actor.num_cells=[32]", "must hold the configured actor"),
+        ("actor.activation=tanh", "must have the same actor.activation, got elu and tanh"),
     ],
 )  # fmt: skip
 def test_a_policy_that_does_not_fit_is_refused(trained, compose_config, given, message):

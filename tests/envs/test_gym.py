@@ -77,6 +77,18 @@ def test_same_seed_same_run_and_another_seed_another_run(make):
     assert np.abs(runs[0] - runs[2]).max() > 0.01
 
 
+def test_a_seed_takes_a_curriculum_back_to_its_begin():
+    """It rises with every episode that is not lost, and pushes with it."""
+    env = gymnasium.make("zfall/PushRecoveryRealistic-v0")
+    transforms = env.unwrapped.torchrl_env.transform
+    (curriculum,) = (t for t in transforms if type(t).__name__ == "Curriculum")
+    first = env.reset(seed=3)[0]
+    curriculum.level.fill_(0.7)
+    curriculum._move()
+    np.testing.assert_array_equal(env.reset(seed=3)[0], first)
+    assert curriculum.level.tolist() == [0.0]
+
+
 def test_without_a_seed_two_envs_differ():
     starts = [gymnasium.make(ID).reset()[0] for _ in range(2)]
     assert np.abs(starts[0] - starts[1]).max() > 1e-3

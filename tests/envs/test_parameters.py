@@ -94,6 +94,16 @@ def test_joints_servos_and_friction_give_the_model_that_editing_the_mjcf_gives(m
     for body in spec.bodies[1:]:
         mine, other = ours.body(body.name), expected.body(body.name)
         np.testing.assert_allclose(mine.ipos, other.ipos, atol=1e-8)  # values are float32
+    stands = []
+    for model in (ours, expected):
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
+        mujoco.mj_forward(model, data)
+        stands.append(data)
+    for body in spec.bodies[1:]:  # what the physics makes of it
+        one, two = (data.body(body.name).xipos for data in stands)
+        np.testing.assert_allclose(one, two, atol=1e-8, err_msg=body.name)
+    np.testing.assert_allclose(*(data.geom_xpos for data in stands), atol=1e-8)
 
 
 def test_a_heavier_robot_presses_harder_on_the_floor(make_task, make_base):

@@ -44,6 +44,14 @@ def test_the_first_row_and_speed_have_no_difference(table):
     assert "not run" not in table
 
 
+def test_pairs_are_found_by_seed_in_whatever_order():
+    """Seed 2 gains 0.1 and seed 1 loses 0.1; seed 0 of the other one failed."""
+    base = lines(i50_mean=[0.5, 0.6, 0.9])
+    other = lines(i50_mean=[1.0, 0.5]).assign(seed=[2, 1])
+    cell = study_table({"base": base, "other": other}, PLANAR)["other"]["i50_mean"]
+    assert cell.difference == pytest.approx((0.0, -0.1, 0.1))
+
+
 def test_a_difference_that_may_be_zero_is_not_distinct():
     base, other = lines(i50_mean=[0.5, 0.6]), lines(i50_mean=[0.55, 0.55])
     cell = study_table({"base": base, "other": other}, PLANAR)["other"]["i50_mean"]

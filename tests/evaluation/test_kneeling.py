@@ -34,6 +34,27 @@ def test_a_kneel_is_stable_after_half_a_second_of_rest(make_base):
     assert trigger[1:].isnan().all()
 
 
+def test_triggers_are_counted_from_the_push_and_not_before_it(make_base):
+    """World 0 gave up before the push, world 1 does 0.08 s after it, world 2 never."""
+    env = make_base(num_envs=3)
+    kneeling, counted = Kneeling(env), torch.ones(3, dtype=torch.bool)
+
+    def modes(*mode: int) -> TensorDict:
+        td = kneel(env)
+        return td.set("mode", torch.nn.functional.one_hot(torch.tensor(mode), 3).float())
+
+    kneeling.before(modes(0, 0, 0))
+    kneeling.before(modes(1, 0, 0))
+    for step in range(1, 16):
+        td = modes(1, int(step >= 2), 0)
+        kneeling.update(td, counted, ~counted, step * 0.04)
+    table = kneeling.table()
+    assert table["gave_up_before"].tolist() == [True, False, False]
+    assert table["trigger_s"].nan_to_num(-1.0).tolist() == pytest.approx([-1.0, 0.08, -1.0])
+    assert kneeling.kneeled.tolist() == [True, False, False]
+    assert table["kneel_time_s"].isnan().all()  # of world 0 it is not known
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -98,16 +119,16 @@ def test_summary_by_hand():
     """Of six pushes of I = 1 two are recovered; three kneels, one of them with the torso down."""
     trials = pd.DataFrame(
         {
-            "impulse": [0.0] + [1.0] * 6 + [0.5],
+            "impulse": [0.0] + [1.0] * 6 + [0.5] * 2,
             "direction_rad": 0.0,
-            "force_n": [0.0] + [49.0] * 6 + [20.0],
-            "listed": [False] * 7 + [True],
-            "recovered": [True, True, True, False, False, False, False, True],
-            "fell": [False, False, False, True, True, True, True, False],
-            "kneeled": [False, False, False, True, True, True, False, False],
-            "peak_contact_force/torso": [0.0, 0, 0, 0, 0, 30, 90, 0],
-            "peak_contact_force/head": [0.0, 0, 0, 0, 0, 0, 110, 0],
-            "peak_base_acceleration": [10.0, 10, 10, 20, 40, 60, 80, 10],
+            "force_n": [0.0] + [49.0] * 6 + [20.0] * 2,
+            "listed": [False] * 7 + [True] * 2,
+            "recovered": [True, True, True, False, False, False, False, True, False],
+            "fell": [False, False, False, True, True, True, True, False, True],
+            "kneeled": [False, False, False, True, True, True, False, False, False],
+            "peak_contact_force/torso": [0.0, 0, 0, 0, 0, 30, 90, 0, 999],
+            "peak_contact_force/head": [0.0, 0, 0, 0, 0, 0, 110, 0, 0],
+            "peak_base_acceleration": [10.0, 10, 10, 20, 40, 60, 80, 10, 999],
             "impact_energy": 1.0,
             "joint_torque_peak": 2.0,
             "kneel_time_s": 0.5,
@@ -121,8 +142,9 @@ def test_summary_by_hand():
     assert entry["clean"] == pytest.approx(2 / 3)
     assert entry["untouched"] == pytest.approx(2 / 4)
     assert entry["kneeled_low"] < 0.75 < entry["kneeled_high"]
-    assert summary["listed"]["(20, 0)"]["recovered"] == 1.0
-    assert summary["listed"]["(20, 0)"]["kneeled"] is None  # nothing fell
-    assert summary["falls"] == 4
+    assert summary["listed"]["(20, 0)"]["recovered"] == 0.5
+    assert summary["listed"]["(20, 0)"]["kneeled"] == 0.0
+    assert summary["listed"]["(20, 0)"]["clean"] is None  # nothing kneeled
+    assert summary["falls"] == 4  # of the grid
     assert summary["falls_peak_base_acceleration_mean"] == 50.0
     assert summary["falls_peak_torso_head_force_mean"] == pytest.approx((30 + 110) / 4)

@@ -25,7 +25,7 @@ class Page(HTMLParser):
 
 @pytest.fixture
 def folder(tmp_path):
-    columns = ("frames", "episode_return", "episode_seconds", "falls", "kl", "reward/upright")
+    columns = ("frames", "episode_return", "episode_seconds", "terminated", "kl", "reward/upright")
     metrics = pd.DataFrame({name: np.linspace(0, 4e6, 20) for name in columns})
     metrics.to_csv(tmp_path / "metrics.csv", index=False)
     (tmp_path / "plots").mkdir()

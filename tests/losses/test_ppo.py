@@ -126,7 +126,9 @@ def test_weight_without_a_target_stays():
     assert loss.kl_coeff.item() == pytest.approx(0.2)
 
 
-def critic_loss(value: float, old: float, target: float, **bounds: float) -> tuple[float, float]:
+def critic_loss(
+    value: float, old: float, target: float | list[float], **bounds: float
+) -> tuple[float, float]:
     """Loss of a critic that says ``value`` everywhere, and its gradient in that value."""
     spec, action_spec = specs()
     actor, linear = mlp_actor(spec, action_spec), torch.nn.Linear(4, 1)
@@ -136,7 +138,8 @@ def critic_loss(value: float, old: float, target: float, **bounds: float) -> tup
         linear.bias.fill_(value)
     batch = collected(actor, 8)
     batch["state_value"].fill_(old)
-    batch["value_target"].fill_(target)
+    targets = torch.as_tensor(target).reshape(-1, 1)
+    batch["value_target"].copy_(targets.expand(8, 1))
     loss = PenalizedPPOLoss(actor, critic, **bounds, **COMMON)(batch)["loss_critic"]
     (gradient,) = torch.autograd.grad(loss, linear.bias)
     return loss.item() / 0.7, gradient.item() / 0.7
@@ -159,6 +162,12 @@ def test_value_clip_bounds_the_change_that_pays(value, old, target, expected):
 )
 def test_value_error_clip_bounds_the_squared_error(target, expected):
     assert critic_loss(4.0, 0.0, target, value_error_clip=9.0) == pytest.approx(expected)
+
+
+def test_value_error_clip_bounds_each_sample_on_its_own():
+    """Errors of 1 and 16 under a bound of 9: 5 in the mean, which is not their mean of 8.5."""
+    targets = [5.0, 8.0] * 4
+    assert critic_loss(4.0, 0.0, targets, value_error_clip=9.0) == pytest.approx((5.0, -1.0))
 
 
 @pytest.mark.parametrize(

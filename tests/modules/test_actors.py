@@ -1,5 +1,7 @@
 """Actors and critics: shapes, sizes, and recurrence that replays."""
 
+import math
+
 import pytest
 import torch
 from hydra.utils import instantiate
@@ -246,3 +248,18 @@ def test_deviation_stays_between_floor_and_cap(components):
     std = actor[0](td)["scale"]
     assert std.min().item() == pytest.approx(0.2, abs=1e-4)
     assert std.max().item() == pytest.approx(0.4, abs=1e-4)
+
+
+@pytest.mark.parametrize(("start", "bound"), [(0.6, 0.4), (0.1, 0.2)])
+def test_a_deviation_at_its_bound_comes_back_but_goes_no_further(start, bound):
+    spec, action_spec = specs()
+    actor = mlp_actor(spec, action_spec, components=0, std=0.3, std_range=[0.2, 0.4])
+    td = TensorDict({"observation": torch.randn(3, 50)}, batch_size=[3])
+    parameter = actor[0].module[-1].log_std
+    parameter.data.fill_(math.log(start))
+    inwards = 1.0 if start > bound else -1.0  # the sign of a loss that falls on the way back
+    for sign, moves in ((inwards, True), (-inwards, False)):
+        scale = actor[0](td)["scale"]
+        assert torch.allclose(scale, torch.tensor(bound))
+        (gradient,) = torch.autograd.grad(sign * scale.sum(), parameter)
+        assert bool((gradient != 0).all()) is moves

@@ -102,6 +102,15 @@ def test_the_script_drives_the_robot_through_its_push(tmp_path):
     assert height > 0.3  # standing it is 0.33 m
 
 
+def test_what_is_observed_through_an_estimator_is_not_exported_as_the_true_quantity(tmp_path):
+    tiny = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
+    speed = "{_target_: zfall.envs.transforms.estimation.NumericalVelocity, before: observation}"
+    run("train", *tiny, f"+env.transforms.speed={speed}", "env.transforms.noise=null",
+        "~env.training_only.noise", f"hydra.run.dir={tmp_path}/run")  # fmt: skip
+    done = run("export", f"run={tmp_path}/run", f"hydra.run.dir={tmp_path}/out")
+    assert "must observe true quantities to be exported, got NumericalVelocity" in done.stderr
+
+
 def test_a_baseline_cannot_be_exported(tmp_path):
     done = run("export", "run=pose_hold", f"hydra.run.dir={tmp_path}")
     assert "run must hold a policy, pose_hold is a baseline" in done.stderr

@@ -106,6 +106,10 @@ def test_lead_and_false_alarms_by_hand():
     probability[0, 3] = 0.9  # five steps ahead, and it goes down again
     probability[1, 7] = 0.9  # after the touch: too late
     probability[2, 4] = 0.6
+    early = torch.zeros(3, 10)
+    early[:2, 1] = 0.9  # before the push, of which it knew nothing
+    rows = table("network", history, learned(early), 0.04).set_index("setting")
+    assert rows.loc["0.5", "detected"] == 0.0
     rows = table("network", history, learned(probability), 0.04).set_index("setting")
     assert rows.loc["0.5", "detected"] == 0.5
     assert rows.loc["0.5", "lead_s"] == pytest.approx(0.2)

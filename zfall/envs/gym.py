@@ -60,7 +60,7 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         self.metadata = type(self).metadata | {"render_fps": fps}
         self.render_mode = render_mode
         self._renderer: mujoco.Renderer | None = None
-        self._seeded = False
+        self._seeded, self._fresh = False, self.torchrl_env.transform.state_dict()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -70,6 +70,7 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         super().reset(seed=seed)
         if seed is not None or not self._seeded:
             _seed(self.torchrl_env, self.np_random)
+            self.torchrl_env.transform.load_state_dict(self._fresh)  # levels of curricula, too
             self._seeded = True
         self._td = self.torchrl_env.reset()
         return _array(self._td["observation"][0]), {}
@@ -133,7 +134,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
         spaces = _spaces(self.torchrl_env, action_limit)
         self.single_observation_space, self.single_action_space = spaces
         self.observation_space, self.action_space = (batch_space(s, num_envs) for s in spaces)
-        self._seeded = False
+        self._seeded, self._fresh = False, self.torchrl_env.transform.state_dict()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -145,6 +146,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
         super().reset(seed=seed)
         if seed is not None or not self._seeded:
             _seed(self.torchrl_env, self.np_random)
+            self.torchrl_env.transform.load_state_dict(self._fresh)  # levels of curricula, too
             self._seeded = True
         self._td = self.torchrl_env.reset()
         return _array(self._td["observation"]), {}

@@ -173,9 +173,16 @@ class HumanoidEnv(EnvBase):
         self.full_done_spec = done_spec(num_envs)
         self.set_seed(0)
 
-    def zero_wrench(self) -> Tensor:
-        """A wrench ``(N, S, bodies, 6)`` of zeros, kept by the env and lent for one step."""
-        return self._wrench.zero_()
+    def wrench_of(self, tensordict: TensorDictBase) -> Tensor:
+        """The wrench ``(N, S, bodies, 6)`` of the coming step so far, for more to be added to.
+
+        Kept by the env and lent for one step: what ``("push", "wrench")`` holds, which stays as it
+        is, or zeros.
+        """
+        there = tensordict.get(("push", "wrench"), None)
+        if there is None:
+            return self._wrench.zero_()
+        return there if there is self._wrench else self._wrench.copy_(there)
 
     def record_substeps(self, keys: Iterable[str]) -> None:
         """Makes the env also write what ``keys`` are after each of the S physics steps.

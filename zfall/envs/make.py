@@ -65,12 +65,25 @@ def make_env(
 
 
 class _Table(Compose):
-    """``Compose`` in which what prepares a reset runs in the order of the table, too."""
+    """``Compose`` in which what prepares a reset runs in the order of the table, too.
+
+    Its state is a copy, which later steps do not change.
+    """
+
+    def __init__(self, *transforms: Transform):
+        super().__init__(*transforms)
+        self.register_state_dict_post_hook(_copied)
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase) -> TensorDictBase:
         for transform in self.transforms:
             tensordict = transform._reset_env_preprocess(tensordict)
         return tensordict
+
+
+def _copied(module: Compose, state: dict[str, Any], prefix: str, metadata: Any) -> None:
+    for key, value in state.items():
+        if isinstance(value, Tensor):
+            state[key] = value.clone()
 
 
 class HumanoidTask(TransformedEnv):

@@ -13,7 +13,7 @@ from zfall.envs.terms.kneel import resting_kneel
 from zfall.evaluation.statistics import wilson
 
 HOLD = 0.5  # time without a break that makes a kneel stable [s]
-KNEEL = 1  # position in ``mode``
+RECOVER, KNEEL = 0, 1  # positions in ``mode``
 
 
 class Kneeling:
@@ -21,7 +21,8 @@ class Kneeling:
 
     ``kneeled``: at the end of the trial it has been a ``resting_kneel`` for half a second.
     ``trigger_s`` [s]: from the push's begin to the trigger, the first step in mode KNEEL or,
-    without modes, the first touch. ``kneel_time_s`` [s]: from there until the kneel had been
+    without modes, the first touch; not a number if it came before the push, which
+    ``gave_up_before`` says. ``kneel_time_s`` [s]: from the trigger until the kneel had been
     stable for half a second. ``impact_energy`` [J]: ``m |v|^2 / 2`` with v the velocity of the
     center of mass one control step before anything but the feet touched.
     ``contact_impulse/REGION`` [N s]: time integral of the floor's force.
@@ -39,6 +40,7 @@ class Kneeling:
             env.mass,
         )
         self.rested = torch.zeros(n)
+        self.early = torch.zeros(n, dtype=torch.bool)
         self.trigger, self.stable = torch.full((n,), torch.nan), torch.full((n,), torch.nan)
         self.impulse = torch.zeros(n, len(env.regions))
         self.energy = torch.full((n,), torch.nan)
@@ -48,6 +50,11 @@ class Kneeling:
     def kneeled(self) -> Tensor:
         """Trials that are in a stable kneel now ``(N,)`` bool."""
         return self.rested > HOLD - 1e-6
+
+    def before(self, td: TensorDictBase) -> None:
+        """Takes in a control step before the push."""
+        if "mode" in td.keys():
+            self.early |= td["mode"][:, RECOVER] == 0
 
     def update(self, td: TensorDictBase, counted: Tensor, first: Tensor, since_push: float) -> None:
         """Takes in a control step after the push.
@@ -64,7 +71,7 @@ class Kneeling:
         self.rested = torch.where(counted, now, self.rested)
         self.stable = torch.where(self.kneeled & ~before, since_push, self.stable)
         triggered = td["mode"][:, KNEEL] > 0 if "mode" in td.keys() else first
-        new = triggered & counted & self.trigger.isnan()
+        new = triggered & counted & self.trigger.isnan() & ~self.early
         self.trigger = torch.where(new, since_push, self.trigger)
         self.impulse += counted[:, None] * td["contact_impulse"]
         speed = td["com_velocity"].norm(dim=-1)
@@ -78,6 +85,7 @@ class Kneeling:
         return {
             "kneel_time_s": took,
             "trigger_s": self.trigger,
+            "gave_up_before": self.early,
             "impact_energy": self.energy,
             **{f"contact_impulse/{r}": self.impulse[:, i] for i, r in enumerate(self.regions)},
         }
@@ -89,10 +97,12 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
     Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` and
     ``untouched`` (without contact of torso or head: of the kneels, of all not recovered), each
     with ``_low`` and ``_high``, its Wilson 95 % interval; ``null`` if there is nothing to count.
+    ``falls`` and the means are of the grid, whose pushes hardly anyone recovers from: over the
+    list they would be over other pushes for each policy.
     """
     pushed = trials[trials["impulse"] > 0]
     grid, listed = pushed[~pushed["listed"]], pushed[pushed["listed"]]
-    fallen = pushed[~pushed["recovered"]]
+    fallen = grid[~grid["recovered"]]
     torso_head = fallen[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
     return {
         "by_impulse": {f"{size:g}": _outcomes(group) for size, group in grid.groupby("impulse")},

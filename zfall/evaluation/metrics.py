@@ -20,7 +20,8 @@ def spectral_smoothness(signal: Tensor, dt: float) -> Tensor:
     """How much of a signal changes how fast ``(N,)``, mean over its channels; 0 if it rests.
 
     ``2 / (n f_s) sum_i M_i f_i`` over the n frequencies f_i of a discrete Fourier transform above
-    0, with M_i the amplitude at f_i and f_s the sampling frequency; in units of the signal.
+    0, with M_i the amplitude at f_i and f_s the sampling frequency; in units of the signal. Over
+    the same time it falls with the square of f_s: values at two rates do not compare.
 
     Args:
         signal: samples ``(N, T, J)``.
@@ -86,6 +87,7 @@ class Outcomes:
             self._targets.append(td["target"].clone())
         if since_push < 1e-6:
             self.strategies.before(td)
+            self.kneeling.before(td)
         else:
             counted = ~self.settled
             self.effort.update(td, counted & (~self.fell | first))

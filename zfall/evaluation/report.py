@@ -77,7 +77,7 @@ def _planar_first(battery: Path) -> tuple[bool, str]:
 def _training(folder: Path) -> Section:
     metrics = pd.read_csv(folder / "metrics.csv")
     last = metrics.tail(10).mean(numeric_only=True)
-    names = ["episode_return", "episode_seconds", "falls", "kl"]
+    names = ["episode_return", "episode_seconds", "terminated", "kl"]
     rows = pd.DataFrame(
         {"mean of the last ten updates": [name for name in names if name in last]}
     ).assign(value=lambda t: [f"{last[name]:.4g}" for name in t.iloc[:, 0]])

@@ -12,10 +12,27 @@ from zfall.modules.mixture import MixtureOfGaussians
 from zfall.modules.shared_mixture import SharedMixtureOfGaussians
 
 
+class _Bounded(torch.autograd.Function):
+    """``clamp(value, low, high)`` that lets a gradient through which leads back inside."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, low: float, high: float) -> Tensor:
+        ctx.save_for_backward(value)
+        ctx.bounds = low, high
+        return value.clamp(low, high)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        (value,), (low, high) = ctx.saved_tensors, ctx.bounds
+        outwards = ((value >= high) & (grad < 0)) | ((value <= low) & (grad > 0))
+        return grad.masked_fill(outwards, 0.0), None, None
+
+
 class GaussianHead(nn.Module):
     """Mean from the features; standard deviation fixed, learned, or from the features as well.
 
-    ``scale = clamp(exp(log_std), *std_range)``, where it is learned.
+    ``scale = clamp(exp(log_std), *std_range)``, where it is learned. At a bound a gradient that
+    leads back inside is let through, so that no deviation stays there for good.
 
     Args:
         size: length of the features.
@@ -60,7 +77,7 @@ class GaussianHead(nn.Module):
         loc, log_std = self.mean(features), self.log_std
         if self.deviation is not None:
             log_std = log_std + self.deviation(features)
-        return loc, log_std.exp().clamp(self.min_std, self.max_std).expand_as(loc)
+        return loc, _Bounded.apply(log_std.exp(), self.min_std, self.max_std).expand_as(loc)
 
 
 class MixtureHead(nn.Module):

@@ -118,6 +118,17 @@ def test_bad_fields_are_refused(make_task, fields, message):
         course(make_task, fields)
 
 
+def test_times_of_pushes_that_follow_from_their_duration_keep_it(make_task):
+    push = {"point": "torso", "size": [0.1, 0.2], "duration": 0.1, "times": [0.0, 0.15]}
+    fields = {
+        "push.duration": [[0.1, 0.1], [0.4, 0.4]]
+    }  # of which the second would begin too early
+    with pytest.raises(ValueError, match=r"fields.push.duration must stay: the times"):
+        make_task(
+            {**TABLE, "push": (RandomPush, push), "curriculum": (Curriculum, {"fields": fields})}
+        )
+
+
 PRESETS = {
     **{f"push=zf_{stage}": [] for stage in ("easy", "medium", "hard", "kneel")},
     **{f"push={name}": [] for name in ("icub", "atalante")},

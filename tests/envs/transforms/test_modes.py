@@ -202,6 +202,20 @@ def test_targets_of_velocity_stop_in_stable_alone(make_base):
     assert torch.allclose(went[0, [0, -1]], torch.tensor([-0.08, -0.152]) - lead, atol=1e-6)
     assert torch.allclose(went[1], torch.tensor(-0.08), atol=1e-6)
     assert torch.allclose(td["target"][:, knee] - begin, torch.tensor([-0.16, -0.08]), atol=1e-6)
+    move._step(td, TensorDict(batch_size=[2]))
+    after = move._inv_call(TensorDict({"action": action}, batch_size=[2]))  # back in RECOVER
+    assert torch.allclose(after["target"][:, knee] - begin, torch.tensor([-0.24, -0.16]), atol=1e-6)
+
+
+def test_what_is_held_is_forgotten_at_a_reset(make_base):
+    """An episode that begins in STABLE holds the joints where it puts them, world 1's alone."""
+    env = make_base(num_envs=2)
+    hold, stable = StableHold(env), torch.tensor([[0.0, 0, 1]] * 2)
+    places = torch.full((2, 20), 0.2)
+    reset = TensorDict({"_reset": torch.tensor([[False], [True]])}, batch_size=[2])
+    hold._reset(reset, TensorDict({"joint_position": places}, batch_size=[2]))
+    td = TensorDict({"mode": stable, "target": torch.zeros(2, 20)}, batch_size=[2])
+    assert torch.equal(hold._inv_call(td)["target"], torch.stack([env.stand_position, places[1]]))
 
 
 @pytest.mark.parametrize(

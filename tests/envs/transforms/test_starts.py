@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
@@ -240,6 +241,14 @@ def test_falls_begin_as_recorded_and_the_others_stand(make_task):
     assert distance.max() < 1e-4
     corners = sole_corners(td[~fallen], ZEROTH01)[..., 2].flatten(1).amin(1)
     assert corners.abs().max() < 1e-3  # the others stand on the floor, whatever their noise
+
+
+def test_each_world_may_have_its_own_share_of_falls(make_base):
+    falling = FallingStart(make_base(num_envs=40))
+    falling.share = torch.arange(40) % 2  # as a curriculum would set it
+    start = falling._reset_env_preprocess(TensorDict(batch_size=[40]))["start"]
+    fallen = start["base_linear_velocity"].norm(dim=-1) > 0
+    assert torch.equal(fallen, falling.share > 0)
 
 
 def test_a_missing_bank_of_falls_is_refused(make_base):

@@ -92,6 +92,10 @@ class Curriculum(Transform):
             for part in middle:
                 owner = _read(owner, part, name)
             value = _read(owner, last, name)
+            if last in getattr(owner, "not_movable", ()):
+                raise ValueError(
+                    f"fields.{name} must stay: the times between pushes follow from it."
+                )
             if not (_number(value) or _pair(value)):
                 raise ValueError(f"fields.{name} must be a number or a pair, it is {value!r}.")
             if _pair(value) != (stages.dim() == 2):

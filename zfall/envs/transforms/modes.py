@@ -216,7 +216,14 @@ class StableHold(Transform):
         if control is not None:
             control = torch.where(stable[:, None], self.held[:, None], control)
             tensordict["control"] = control
-        return tensordict.set("target", self.held)
+        return tensordict.set("target", self.held.clone())
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)[:, None]
+        self.held = torch.where(rows, tensordict_reset["joint_position"], self.held)
+        return tensordict_reset
 
 
 class FallPredictor(Transform):

@@ -223,7 +223,7 @@ class FallingStart(Transform):
             tensordict = TensorDict(batch_size=[self.num_envs])
         # All rows are drawn, so that the random stream does not depend on who fell.
         row = torch.randint(len(self.table), (self.num_envs,), generator=self.rng)
-        falls = torch.rand(self.num_envs, 1, generator=self.rng) < self.share
+        falls = torch.rand(self.num_envs, 1, generator=self.rng) < per_world(self.share, 2)
         values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
         for name, value in zip(self.sizes, values, strict=True):
             there = tensordict.get(("start", name), None)

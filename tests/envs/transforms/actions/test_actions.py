@@ -87,6 +87,18 @@ def test_target_is_held_where_no_command_was_written(make_base, cls, values, at_
         assert torch.equal(held["control"], given["control"])
 
 
+@pytest.mark.parametrize(("cls", "values"), LOW_LEVEL)
+def test_an_episode_begins_where_the_joints_are(make_base, send, cls, values):
+    """Commands that say so from its first step on come out as they are: nothing was elsewhere."""
+    base = make_base()
+    places = base.stand_position + 0.3 * torch.randn(4, 20)
+    transform = cls(base, **values)
+    reset = TensorDict({"joint_position": places}, [4])
+    transform._reset(TensorDict(batch_size=[4]), reset)
+    commands = places[:, None].expand(-1, 20, -1)
+    assert_close(send(transform, commands), commands)
+
+
 @pytest.mark.parametrize(
     ("cls", "values", "name"),
     [

@@ -56,6 +56,15 @@ def test_targets_stand_in_recover_and_go_to_the_kneel_at_the_speed(make_base):
     assert_close(step(reference, [0, 0], stand), stand)  # back
 
 
+def test_each_world_may_have_its_own_speed(make_base):
+    env = make_base(num_envs=20, control_dt=0.04)  # as many worlds as joints
+    reference = KneelReference(env)
+    reference.speed = torch.linspace(0.1, 2.0, 20)
+    stand = env.stand_position.expand(20, -1)
+    gone = (step(reference, [1] * 20, stand) - stand).abs().amax(1)
+    assert_close(gone, 0.04 * reference.speed)
+
+
 @pytest.fixture
 def stored(tmp_path):
     """Movements of three postures, of which the left knee says [rad]: -sector/10 - posture/100."""

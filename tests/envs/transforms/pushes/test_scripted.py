@@ -49,10 +49,10 @@ class Wind(Transform):
 
     def __init__(self, env):
         super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
-        self.zero = env.zero_wrench
+        self.wrench = torch.ones(env.num_envs, env.substeps, env.num_bodies, 6)
 
     def _inv_call(self, tensordict):
-        return tensordict.set(("push", "wrench"), self.zero() + 1.0)
+        return tensordict.set(("push", "wrench"), self.wrench)
 
 
 def test_measures_are_of_the_step_whatever_else_acts_on_the_robot(make_task):
@@ -65,6 +65,8 @@ def test_measures_are_of_the_step_whatever_else_acts_on_the_robot(make_task):
         td = env.step(td)["next"]
         seen.append((td["push", "force"][0, 0].item(), td["push", "peak_force"][0].item()))
     np.testing.assert_allclose(seen, [(0, 0), (15, 10), (15, 10), (0, 0), (0, 0)], atol=1e-4)
+    (wind,) = (t for t in env.transform if isinstance(t, Wind))
+    assert (wind.wrench == 1.0).all()  # its own tensor: what is added to it would act for ever
 
 
 def test_an_episode_that_begins_anew_gets_its_pushes_again(make_task):

@@ -18,6 +18,8 @@ def test_last_action_is_the_one_before_and_zero_after_a_reset(make_base):
     td["action"] = first
     td = env.step(td)["next"]
     assert torch.equal(td["last_action"], first)
+    first.fill_(9.0)  # the caller's own, to be used again
+    assert torch.equal(td["last_action"], torch.full((2, 20), 0.1))
     td["action"] = second
     td = env.step(td)["next"]
     assert torch.equal(td["last_action"], second)

@@ -15,7 +15,7 @@ class Backlash(Transform):
     """Gives the gears play: a command that turns around moves nothing until the play is used up.
 
     The play operator on the command: ``y = clamp(y, x - width / 2, x + width / 2)`` at every
-    physics step. It begins an episode in the middle of the play, at the standing reference.
+    physics step. It begins an episode in the middle of the play, where the joints are.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``.
@@ -30,7 +30,6 @@ class Backlash(Transform):
     Source: Visintin, "Differential Models of Hysteresis", Springer 1994, chapter III (play).
     """
 
-    reference: Tensor
     level: Tensor
 
     def __init__(self, env: HumanoidEnv, *, width: float):
@@ -38,7 +37,6 @@ class Backlash(Transform):
         if not width >= 0:
             raise ValueError(f"width must not be negative, got {width}.")
         self.width, self.substeps = width, env.substeps
-        self.register_buffer("reference", env.stand_position)
         self.register_buffer("level", env.stand_position.repeat(env.num_envs, 1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -56,15 +54,15 @@ class Backlash(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.level = torch.where(rows[:, None], self.reference, self.level)
+        self.level = torch.where(rows[:, None], tensordict_reset["joint_position"], self.level)
         return tensordict_reset
 
 
 class Deadband(Transform):
     """Lets the servos ignore a command that differs too little from the one they follow.
 
-    ``y = x where |x - y| >= width, else y`` at every physics step. It begins an episode at the
-    standing reference.
+    ``y = x where |x - y| >= width, else y`` at every physics step. It begins an episode where
+    the joints are.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``.
@@ -77,7 +75,6 @@ class Deadband(Transform):
         ValueError: if ``width`` is negative.
     """
 
-    reference: Tensor
     level: Tensor
 
     def __init__(self, env: HumanoidEnv, *, width: float):
@@ -85,7 +82,6 @@ class Deadband(Transform):
         if not width >= 0:
             raise ValueError(f"width must not be negative, got {width}.")
         self.width, self.substeps = width, env.substeps
-        self.register_buffer("reference", env.stand_position)
         self.register_buffer("level", env.stand_position.repeat(env.num_envs, 1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -103,5 +99,5 @@ class Deadband(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.level = torch.where(rows[:, None], self.reference, self.level)
+        self.level = torch.where(rows[:, None], tensordict_reset["joint_position"], self.level)
         return tensordict_reset

@@ -94,6 +94,7 @@ class JointVelocityTarget(Transform):
         return tensordict.set("control", command)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self.position = tensordict["target"].clone()  # which others may have held back
         return next_tensordict.set("target", tensordict["target"])
 
     def _reset(

@@ -12,6 +12,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import turn_to_heading
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import per_world
 
 
 class KneelReference(Transform):
@@ -87,7 +88,7 @@ class KneelReference(Transform):
             )
         recover = mode[:, 0] > 0
         velocity = read_measured(tensordict, "com_velocity")[:, :2]
-        x, y = turn_to_heading(tensordict["base_orientation"], velocity).unbind(-1)
+        x, y = turn_to_heading(read_measured(tensordict, "base_orientation"), velocity).unbind(-1)
         open_still = (self.choice == self.none) | (
             self.clock * self.control_dt < self.settle - 1e-6
         )
@@ -97,7 +98,7 @@ class KneelReference(Transform):
         waits = self.choice == self.none
         clock = torch.where(waits, 0, self.clock)
         phase = torch.bucketize(clock * self.control_dt + 1e-6, self.catches.until, right=True)
-        reach = self.speed * self.control_dt
+        reach = per_world(self.speed, 2) * self.control_dt
         further = self.movements[self.choice, phase] - self.way
         self.way = torch.where(
             recover[:, None], self.stand, self.way + further.clamp(-reach, reach)

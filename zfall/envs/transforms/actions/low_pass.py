@@ -29,7 +29,6 @@ class LowPass(Transform):
         ValueError: if ``time_constant`` is not positive.
     """
 
-    reference: Tensor
     level: Tensor
     age: Tensor
 
@@ -38,7 +37,6 @@ class LowPass(Transform):
         if not time_constant > 0:
             raise ValueError(f"time_constant must be positive, got {time_constant}.")
         self.time_constant, self.substeps = time_constant, env.substeps
-        self.register_buffer("reference", env.stand_position)
         self.register_buffer("level", env.stand_position.repeat(env.num_envs, 1))
         # Time from command i to the value at the end of step s [s], row s and column i; the
         # column before the commands belongs to the level before the step.
@@ -59,5 +57,5 @@ class LowPass(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.level = torch.where(rows[:, None], self.reference, self.level)
+        self.level = torch.where(rows[:, None], tensordict_reset["joint_position"], self.level)
         return tensordict_reset

@@ -29,7 +29,7 @@ class ServoPlanner(Transform):
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``, the set-points at the end of each physics step. They begin an
-    episode at rest in the standing reference.
+    episode at rest where the joints are.
 
     Args:
         env: the base env.
@@ -43,7 +43,6 @@ class ServoPlanner(Transform):
     ``max_velocity`` and ``max_acceleration``); the profile is ours, exact in discrete time.
     """
 
-    reference: Tensor
     position: Tensor
     speed: Tensor
 
@@ -54,7 +53,6 @@ class ServoPlanner(Transform):
                 raise ValueError(f"{name} must be positive, got {value}.")
         self.velocity, self.acceleration = velocity, acceleration
         self.physics_dt, self.substeps = env.physics_dt, env.substeps
-        self.register_buffer("reference", env.stand_position)
         self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
         self.register_buffer("speed", torch.zeros(env.num_envs, len(env.stand_position)))
 
@@ -80,6 +78,6 @@ class ServoPlanner(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)[:, None]
-        self.position = torch.where(rows, self.reference, self.position)
+        self.position = torch.where(rows, tensordict_reset["joint_position"], self.position)
         self.speed = torch.where(rows, 0.0, self.speed)
         return tensordict_reset

@@ -39,7 +39,7 @@ class PushForces:
         self.physics_dt, self.shape = env.physics_dt, (env.num_envs,)
         self.begin = env.physics_dt * torch.arange(env.substeps, dtype=torch.float64)
         self.impulse_unit = env.robot.impulse_unit
-        self._zero_wrench = env.zero_wrench
+        self._wrench_of = env.wrench_of
         self._worlds = torch.arange(env.num_envs)[:, None]
         self._steps = torch.arange(env.substeps)
         self._acted: dict[tuple[str, str], Tensor] = {}  # from the inverse pass to the step's end
@@ -62,9 +62,7 @@ class PushForces:
             body: index of the point each acts at ``(N, E)``, into ``points``.
         """
         share = force_share(self.begin, self.physics_dt, start, duration, self.profile)
-        wrench = tensordict.get(("push", "wrench"), None)
-        if wrench is None:
-            wrench = self._zero_wrench()
+        wrench = self._wrench_of(tensordict)
         if len(self.bodies) == 1:
             act = torch.einsum("nes,nec->nsc", share, force)
             wrench[:, :, int(self.bodies), :3] += act

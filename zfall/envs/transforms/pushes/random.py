@@ -84,6 +84,7 @@ class RandomPush(Transform):
             mean=0.5 * sum(self.duration),
             control_dt=env.control_dt,
         )
+        self.not_movable = () if interval is not None else ("duration",)
         measures = {"force": force, "impulse": impulse, "size": size, "axes": axes}
         given = [name for name, value in measures.items() if value is not None]
         if len(given) != 1:

@@ -16,7 +16,7 @@ class LastAction(Transform):
         super().__init__(in_keys=["action"], out_keys=["last_action"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set("last_action", tensordict["action"])
+        return next_tensordict.set("last_action", tensordict["action"].clone())
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
