@@ -16,7 +16,7 @@ ASSETS = Path(str(files("zfall.envs"))) / "assets"
 MOVEMENTS = ASSETS / "zeroth01_catches.npz"
 # Files whose content a world depends on: what reads them, the key that may name another one, and
 # the one that ships.
-READ_BY = {
+READ_BY: dict[str, tuple[str | None, Path]] = {
     "KneelReference": ("catches", MOVEMENTS),
     "FallingStart": ("bank", ASSETS / "zeroth01_falls.npz"),
     "load_fall_network": ("path", ASSETS / "zeroth01_fall_network.pt"),
@@ -46,9 +46,11 @@ def env_digest(env_cfg: DictConfig) -> str:
     read: dict[str, str] = {}
     for node in _targets(OmegaConf.to_container(env_cfg, resolve=True)):
         name = node["_target_"].rpartition(".")[2]
-        key, shipped = READ_BY.get(name, (None, None))
-        path = Path(node.get(key) or shipped) if shipped else None
-        if path is not None and path.exists():  # else its reader says so
+        if name not in READ_BY:
+            continue
+        key, shipped = READ_BY[name]
+        path = Path(node.get(key) or shipped) if key else shipped
+        if path.exists():  # else its reader says so
             read[name] = read.get(name, "") + file_digest(path)
     return digest({"env": text, "robot": identity_of(robot_of(env_cfg)), "files": read})
 

@@ -280,7 +280,7 @@ class Learner:
         self.frames, self.updates = state["frames"], state["updates"]
 
 
-def moving_average(decay: float) -> Callable[[list[Tensor], list[Tensor], Tensor], None]:
+def moving_average(decay: float) -> Callable[..., None]:
     """Rule of an exponential average whose weights sum to one from the first update on.
 
     After n updates that of k updates ago weighs ``decay^k (1 - decay) / (1 - decay^n)``; torch's

@@ -98,7 +98,7 @@ class KneelReference(Transform):
         waits = self.choice == self.none
         clock = torch.where(waits, 0, self.clock)
         phase = torch.bucketize(clock * self.control_dt + 1e-6, self.catches.until, right=True)
-        reach = per_world(self.speed, 2) * self.control_dt
+        reach = torch.as_tensor(per_world(self.speed, 2)) * self.control_dt
         further = self.movements[self.choice, phase] - self.way
         self.way = torch.where(
             recover[:, None], self.stand, self.way + further.clamp(-reach, reach)
