@@ -10,7 +10,7 @@ from pathlib import Path
 import hydra
 import pandas as pd
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -74,8 +74,9 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(f"checkpoint must be last or best, got {cfg.checkpoint}.")
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
         policies = [name for name in names if name not in BASELINES]
-        if cfg.env is None and len(policies) < len(names) and policies:
-            cfg.env = load_run(cfg, policies[0])[0]  # baselines meet the world of the first policy
+        if cfg.get("env") is None and 0 < len(policies) < len(names):
+            with open_dict(cfg):  # baselines meet the world of the first policy
+                cfg.env = load_run(cfg, policies[0])[0]
         tested = [Tested.load(cfg, name, output, setting_of(cfg)) for name in names]
         if cfg.trial is not None:
             folder = tested[0].folder if len(tested) == 1 else output

@@ -10,19 +10,24 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
 import pytest
+import torch
 from omegaconf import OmegaConf
 
 from recipes.one_line import start
-from recipes.tested import keep
+from recipes.tested import held, keep
 from recipes.train import RunFolder, garbage_collector_of_new_things
 from zfall import checkpoint
 from zfall.envs.make import left_out
+from zfall.envs.robots import ZEROTH01
+from zfall.evaluation.battery import run_battery
+from zfall.evaluation.definitions import load_battery
 
 ROOT = Path(__file__).parents[1]
 TINY = ["num_envs=8", "rollout_steps=4", "minibatches=2", "total_frames=64", "checkpoint_every=1",
@@ -604,3 +609,30 @@ def test_the_garbage_collector_spares_what_was_there_and_takes_it_back():
         fail_amid_it()
     assert spared[0] > 10_000  # all of torch, for one
     assert gc.get_freeze_count() == 0
+
+
+def test_baselines_beside_a_policy_meet_its_world(tmp_path):
+    tiny = [*TINY, "env.base_env.physics_dt=0.008"]
+    assert run("train", *tiny, f"hydra.run.dir={tmp_path}/one").returncode == 0
+    runs = [f"runs=[{tmp_path}/one,pose_hold]", f"hydra.run.dir={tmp_path}/both"]
+    done = run("evaluate", *runs, "battery=planar", *SMALL, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    (asked,) = (tmp_path / "both" / "pose_hold").glob("evaluation/*/trials.json")
+    assert OmegaConf.create(json.loads(asked.read_text())["env"]).base_env.physics_dt == 0.008
+
+
+def test_a_baseline_in_an_env_with_modes_holds_its_pose(compose_config):
+    """Without an action its reference would go down as soon as the machine says KNEEL."""
+    cfg = compose_config("env=push_to_kneel", "num_envs=2").env
+    battery = load_battery("planar", impulses=[1.0], starts=1, directions=2, end_time=1.0)
+    battery = replace(battery, push_time=0.2)
+
+    def moved(world):
+        targets = []
+        run_battery(
+            battery, world, None, watch=lambda env, td: targets.append(td["target"].clone())
+        )
+        return (torch.stack(targets) - torch.tensor(ZEROTH01.stand_position)).abs().max()
+
+    assert moved(held(cfg)) < 1e-6
+    assert moved(cfg) > 0.5
