@@ -16,6 +16,15 @@ TASKS = (
 )  # the tables of recipes/env that gymnasium knows by name
 
 
+def _spin_briefly() -> None:
+    """Lets torch's threads wait for each other without spinning for long; read as torch is loaded.
+
+    By default they spin for milliseconds: beside any other work on the same cores a pass over a
+    batch then takes ten times as long and more. Alone on the machine it makes no difference.
+    """
+    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
+
+
 def _choose_gl() -> None:
     """Picks an OpenGL without a screen for MuJoCo, which looks for one when it is imported."""
     if sys.platform != "linux" or os.environ.get("DISPLAY") or "MUJOCO_GL" in os.environ:
@@ -37,5 +46,6 @@ def _register() -> None:
         )
 
 
+_spin_briefly()
 _choose_gl()
 _register()
