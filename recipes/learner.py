@@ -56,6 +56,9 @@ class Learner:
                 "loss.normalize_advantage must be minibatch, batch or null, "
                 f"got {cfg.loss.normalize_advantage}."
             )
+        for key in ("gamma", "lmbda"):
+            if not 0 <= cfg.loss[key] <= 1:
+                raise ValueError(f"loss.{key} must lie in [0, 1], got {cfg.loss[key]}.")
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)
@@ -130,6 +133,13 @@ class Learner:
         after = [("next", key) for key in [*inputs, *flags]]
         self._stored = [*self._learned, "state_value", *after]
         self._recurrent = bool(hidden)
+        samples = cfg.num_envs * (1 if hidden else cfg.rollout_steps)
+        if cfg.minibatches > samples:
+            kind = "sequences" if hidden else "samples"
+            raise ValueError(
+                f"minibatches must not be more than the {samples} {kind} of an update, "
+                f"got {cfg.minibatches}."
+            )
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
 

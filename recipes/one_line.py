@@ -90,4 +90,6 @@ def _innermost(error: BaseException) -> str:
 
 
 def _flat(text: str) -> str:
-    return " ".join(text.split())
+    flat = " ".join(text.split())
+    # Hydra's advice, which makes a new key of one that is misspelt.
+    return flat.replace("To append to your config use +", "Unless it is misspelt, write +")

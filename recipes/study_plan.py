@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra import compose
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from recipes.digests import MOVEMENTS, digest, env_digest, file_digest
@@ -83,7 +84,10 @@ def plan(study: DictConfig) -> list[Run]:
     runs = []
     for row, overrides in study.rows.items():
         for seed in (OmegaConf.select(study, "row_seeds") or {}).get(row, study.seeds):
-            cfg = training([*study.base, *overrides], seed, study)
+            try:
+                cfg = training([*study.base, *overrides], seed, study)
+            except HydraException as error:
+                raise ValueError(f"study.rows.{row}: {error}") from error
             beside = _beside(study, row, seed)
             tests = _tests(study, cfg, beside)
             if beside is not None:

@@ -41,7 +41,9 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
         ValueError: if one is missing, or they do not see or do the same.
     """
     names = ("recover",) if cfg.kneel == SCRIPT else ("recover", "kneel")
-    parts = {name: checkpoint.load(checkpoint_of(cfg[name], cfg.checkpoint)) for name in names}
+    parts = {
+        name: checkpoint.load(checkpoint_of(cfg[name], cfg.checkpoint, key=name)) for name in names
+    }
     configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
     check_same_interface(configs)
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env

@@ -96,7 +96,7 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         if run == "scripted_kneel" and not kneels:
             raise ValueError("scripted_kneel needs an env with modes: env=push_to_kneel.")
         return given if run == "scripted_kneel" else held(given), None
-    path = checkpoint_of(run, cfg.checkpoint)
+    path = checkpoint_of(run, cfg.checkpoint, others=BASELINES)
     content = checkpoint.load(path)
     run_cfg = OmegaConf.create(content["config"])
     env_cfg = changed(run_cfg.env, cfg.get("change", []))
@@ -131,8 +131,16 @@ def check_same_interface(configs: dict[str, DictConfig]) -> None:
             raise ValueError(f"{names} must have the same env.{key}, got {found}.")
 
 
-def checkpoint_of(run: str, name: str = "last") -> Path:
+def checkpoint_of(
+    run: str, name: str = "last", *, key: str = "run", others: Sequence[str] = ()
+) -> Path:
     """The file of a run folder's policy, or of one that ships.
+
+    Args:
+        run: the folder, or the name of the policy.
+        name: of the checkpoint.
+        key: what to call it, should there be none.
+        others: what else may stand there.
 
     Raises:
         ValueError: if there is neither.
@@ -143,7 +151,7 @@ def checkpoint_of(run: str, name: str = "last") -> Path:
     if not Path(run).is_dir():
         ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
         raise ValueError(
-            f"run must be a run folder, or one of {', '.join((*BASELINES, *ship))}; "
+            f"{key} must be a run folder, or one of {', '.join((*others, *ship))}; "
             f"there is no folder {run}."
         )
     return Path(run) / "checkpoints" / f"{name}.pt"

@@ -43,13 +43,13 @@ LOSS_KEYS = {
 @hydra.main(version_base=None, config_path=".", config_name="train")
 def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
-    with one_line_errors():
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with one_line_errors(), removed_if_refused(folder):
         check_keys(cfg, KEYS)
         if not (isinstance(cfg.total_frames, (int, float)) and cfg.total_frames > 0):
             raise ValueError(f"total_frames must be a positive number, got {cfg.total_frames}.")
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
         check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
-        folder = Path(HydraConfig.get().runtime.output_dir)
         state = None
         if cfg.resume is not None:
             folder = Path(cfg.resume)
@@ -100,6 +100,17 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     elif cfg.warm_start is not None:
         warm_start(learner, cfg.warm_start)
     return train(learner, run, console)
+
+
+@contextmanager
+def removed_if_refused(folder: Path) -> Iterator[None]:
+    """Removes a folder that holds no more than hydra's files, should there be an error."""
+    try:
+        yield
+    except Exception:
+        if folder.is_dir() and {path.name for path in folder.iterdir()} <= {".hydra"}:
+            shutil.rmtree(folder)
+        raise
 
 
 def remove_unused(made: Path, folder: Path) -> None:

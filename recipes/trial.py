@@ -32,7 +32,7 @@ def show_trial(
     push = (0.0, 0.0)
     for each in tested:
         row, rows = run_trial(battery, each, cfg, console)
-        joint = _joint(rows, cfg.joint)
+        joint = str(cfg.joint)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[Path(each.name).name] = rows.rename(columns=renamed)
         if battery.interval is None and row["impulse"] > 0:
@@ -41,13 +41,6 @@ def show_trial(
         path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
         trace_plot(traces, path, joint=joint, push=push)
         console.print(f"wrote {path}")
-
-
-def _joint(rows: pd.DataFrame, joint: str) -> str:
-    there = [str(c).removeprefix("target/") for c in rows if str(c).startswith("target/")]
-    if joint not in there:
-        raise ValueError(f"joint must be one of {', '.join(there)}, got {joint}.")
-    return joint
 
 
 def run_trial(
@@ -59,6 +52,8 @@ def run_trial(
     signals: list[NDArray[np.float32]] = []
     env, _, _ = battery_env(battery, tested.env_cfg, 1)
     joints = env.base_env.robot.joints
+    if cfg.joint not in joints:
+        raise ValueError(f"joint must be one of {', '.join(joints)}, got {cfg.joint}.")
 
     def watch(base: HumanoidEnv, td: TensorDictBase) -> None:
         states.append(base.simulation.qpos[:1].numpy().copy())

@@ -21,7 +21,7 @@ def warm_start(learner: Learner, run: str) -> None:
     Raises:
         ValueError: if there is no such run, or its policy sees or does something else.
     """
-    path = checkpoint_of(run)
+    path = checkpoint_of(run, key="warm_start")
     content = checkpoint.load(path)
     theirs = OmegaConf.create(content["config"])
     check_same_interface({run: theirs, "this run": learner.cfg})

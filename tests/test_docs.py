@@ -6,8 +6,10 @@ from inspect import isclass
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
-from hydra.utils import get_object
+from hydra.utils import get_object, instantiate
+from torch.testing import assert_close
 from torchrl.envs import Transform
 
 from recipes.learner import Learner
@@ -16,6 +18,7 @@ from zfall.envs.model import Ball
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "transforms.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 LINES = re.findall(r"`(\w+: \{_target_: \.\.\..*?\})` \|", PAGE)
 
 
@@ -40,7 +43,7 @@ def test_the_page_shows_every_transform():
 
 
 def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
-    module, test = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    module, test, _ = BLOCKS
     (tmp_path / "wind.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     space: dict = {}
@@ -50,7 +53,7 @@ def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
 
 
 def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_config):
-    module, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    module, _, _ = BLOCKS
     (tmp_path / "wind.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     wind = "+env.transforms.wind={_target_:wind.SteadyWind,point:torso,force:2.0}"
@@ -64,6 +67,27 @@ def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_
     body = base.push_targets["torso"]
     assert all((wrench[:, :, body, 0] > 1.99).all() for wrench in seen)
     sys.modules.pop("wind")
+
+
+def test_an_own_reward_term_is_worth_what_it_says(tmp_path, monkeypatch, compose_config):
+    """Shoulders rolled by 0.3 rad, at a sigma of 0.3 rad and a weight of 0.05: 0.05 / e."""
+    (tmp_path / "my_terms.py").write_text(BLOCKS[2])
+    monkeypatch.syspath_prepend(tmp_path)
+    (line,) = re.findall(r"'(\+env.transforms.reward.terms.*?)'", PAGE)
+    env = instantiate(compose_config(line, "num_envs=2").env, training=False)
+    td = env.reset()
+    simulation, robot = env.base_env.simulation, env.base_env.robot
+    for side in ("left", "right"):
+        joint = simulation.model.joint(f"{side}_shoulder_roll")
+        simulation.qpos[:, int(joint.qposadr[0])] = 0.3
+    td["action"] = torch.zeros(2, len(robot.joints))
+    worth = env.step(td)["next", "reward_terms", "low_hands"]
+    rolls = simulation.qpos[
+        :, [int(simulation.model.joint(f"{s}_shoulder_roll").qposadr[0]) for s in ("left", "right")]
+    ]
+    assert_close(worth, 0.05 * torch.exp(-((rolls / 0.3) ** 2).mean(1, keepdim=True)).float())
+    assert (worth < 0.045).all()  # the arms have begun to move back
+    sys.modules.pop("my_terms")
 
 
 def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_config):

@@ -216,6 +216,22 @@ BAD = [
     (["num_envs=0"], "num_envs must be at least 1, got 0"),
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
+    (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
+    (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
+    (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
+    (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
+    (
+        ["env.transforms.reward.terms.posture.0=x"],
+        "terms.posture must have a number as its weight, got x",
+    ),
+    (
+        ["+env.transforms.push.siez=[0.1,0.2]"],
+        "env: transforms.push.siez is not a parameter of RandomPush (env, point, ",
+    ),
+    (
+        ["warm_start=pose_hold"],
+        "warm_start must be a run folder, or one of atalante, best, kneel; there",
+    ),
     (["total_frames=many"], "total_frames must be a positive number, got many"),
     (
         [
@@ -255,7 +271,7 @@ def test_bad_input_ends_before_the_first_step_with_a_clear_line(overrides, messa
     ]
     assert len(lines) == 1
     assert lines[0].startswith("error: ")
-    assert not (tmp_path / "metrics.csv").exists()
+    assert not (tmp_path / ".hydra").exists()
 
 
 def test_resuming_with_another_actor_is_refused(trained, tmp_path):

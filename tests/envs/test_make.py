@@ -90,7 +90,9 @@ def test_unknown_name_in_training_only_is_refused(make_base):
 
 def test_unknown_value_of_a_transform_is_refused_with_its_place(compose_config):
     cfg = compose_config("num_envs=2", "+env.transforms.push.impulze=3")
-    with pytest.raises(Exception, match=r"(?s)impulze.*transforms\.push"):
+    with pytest.raises(
+        Exception, match=r"transforms\.push\.impulze is not .*; did you mean impulse"
+    ):
         instantiate(cfg.env)
 
 

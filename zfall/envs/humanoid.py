@@ -173,6 +173,19 @@ class HumanoidEnv(EnvBase):
         self.full_done_spec = done_spec(num_envs)
         self.set_seed(0)
 
+    def push_target(self, point: str) -> int:
+        """Index of a link or push point among the bodies of a wrench.
+
+        Raises:
+            ValueError: if there is none of this name.
+        """
+        if point not in self.push_targets:
+            raise ValueError(
+                f"point must be a push point or a link, one of {', '.join(self.push_targets)}; "
+                f"got {point!r}."
+            )
+        return self.push_targets[point]
+
     def wrench_of(self, tensordict: TensorDictBase) -> Tensor:
         """The wrench ``(N, S, bodies, 6)`` of the coming step so far, for more to be added to.
 

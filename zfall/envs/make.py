@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Collection, Mapping
+from difflib import get_close_matches
 from typing import Any
 
 import torch
@@ -52,7 +53,7 @@ def make_env(
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
     ordered = _in_place({k: v for k, v in transforms.items() if v is not None})
     used = {k: v for k, v in ordered.items() if training or k not in training_only}
-    built = {name: build_transform(transform, env) for name, transform in used.items()}
+    built = {name: build_transform(t, env, f"transforms.{name}") for name, t in used.items()}
     for transform in built.values():
         if hasattr(transform, "attach"):
             transform.attach(built)
@@ -182,11 +183,27 @@ def left_out(training_only: Mapping[str, bool] | Collection[str]) -> list[str]:
     return list(training_only)
 
 
-def build_transform(transform: Transform | Mapping[str, Any], env: HumanoidEnv) -> Transform:
-    """A transform from its config, given the base env if its first parameter is ``env``."""
+def build_transform(
+    transform: Transform | Mapping[str, Any], env: HumanoidEnv, place: str = "transform"
+) -> Transform:
+    """A transform from its config, given the base env if its first parameter is ``env``.
+
+    Raises:
+        ValueError: on a key that is no parameter, naming its ``place``.
+    """
     if isinstance(transform, Transform):
         return transform
-    parameters = list(inspect.signature(get_object(transform["_target_"])).parameters)
+    signature = inspect.signature(get_object(transform["_target_"]))
+    parameters = list(signature.parameters)
+    if not any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values()):
+        for key in (str(key) for key in transform if not str(key).startswith("_")):
+            if key not in parameters:
+                near = get_close_matches(key, parameters, n=1)
+                owner = str(transform["_target_"]).rpartition(".")[2]
+                raise ValueError(
+                    f"{place}.{key} is not a parameter of {owner} "
+                    f"({', '.join(parameters)}){f'; did you mean {near[0]}?' if near else '.'}"
+                )
     args = (env,) if parameters[:1] == ["env"] else ()
     config = transform if isinstance(transform, DictConfig) else dict(transform)
     return instantiate(config, *args, _convert_="all")

@@ -79,3 +79,39 @@ def test_term_that_asks_for_the_ranges_of_the_joints_gets_them_unless_it_has_som
 def test_table_without_a_term_is_refused(make_base):
     with pytest.raises(ValueError, match="at least one term"):
         WeightedReward(make_base(), terms={"one": (None, ones)})
+
+
+def row(td, next_td):
+    return torch.ones(3)
+
+
+def elsewhere(td, next_td):
+    return next_td["joint_vel"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (ones, r"terms.mine must be \[weight, function\], got <function"),
+        ((1.0, 2.0), r"terms.mine must be \[weight, function\]"),
+        (("x", ones), "terms.mine must have a number as its weight, got x"),
+    ],
+)
+def test_entries_that_are_no_terms_are_refused(make_base, entry, message):
+    with pytest.raises(ValueError, match=message):
+        build(make_base, {"mine": entry})
+
+
+@pytest.mark.parametrize(
+    ("term", "message"),
+    [
+        (row, r"terms.mine must return \(3, 1\), one number per world, got \(3,\)"),
+        (elsewhere, "terms.mine: .*joint_vel"),
+    ],
+)
+def test_terms_that_go_wrong_are_named_at_the_first_step(make_base, term, message):
+    env = build(make_base, {"mine": (1.0, term)})
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    with pytest.raises(ValueError, match=message):
+        env.step(td)

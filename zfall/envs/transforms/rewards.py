@@ -24,25 +24,40 @@ class WeightedReward(Transform):
             after the step that returns ``(N, 1)``. A weight of ``null`` leaves the term out.
 
     Raises:
-        ValueError: if no term is left.
+        ValueError: if no term is left, an entry is none, or, at the first step, a term reads what
+            is not there or returns another shape.
     """
 
     def __init__(
         self, env: HumanoidEnv, *, terms: dict[str, tuple[float | None, Callable[..., Tensor]]]
     ):
         super().__init__()
-        self.terms = {
-            name: (weight, bind(term, robot=env.robot, joint_range=env.joint_range))
-            for name, (weight, term) in terms.items()
-            if weight is not None
-        }
+        self.shape = (env.num_envs, 1)
+        self.terms = {}
+        for name, entry in terms.items():
+            if not (isinstance(entry, (list, tuple)) and len(entry) == 2 and callable(entry[1])):
+                raise ValueError(f"terms.{name} must be [weight, function], got {entry}.")
+            weight, term = entry
+            if weight is None:
+                continue
+            if not isinstance(weight, (int, float)):
+                raise ValueError(f"terms.{name} must have a number as its weight, got {weight}.")
+            self.terms[name] = weight, bind(term, robot=env.robot, joint_range=env.joint_range)
         if not self.terms:
             raise ValueError("terms must hold at least one term with a weight.")
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         reward: Any = 0.0
         for name, (weight, term) in self.terms.items():
-            value = weight * term(tensordict, next_tensordict)
+            try:
+                value = weight * term(tensordict, next_tensordict)
+            except KeyError as error:
+                raise ValueError(f"terms.{name}: {error.args[0]}") from error
+            if value.shape != self.shape:
+                raise ValueError(
+                    f"terms.{name} must return {self.shape}, one number per world, "
+                    f"got {tuple(value.shape)}."
+                )
             next_tensordict["reward_terms", name] = value
             reward = reward + value
         return next_tensordict.set("reward", reward)

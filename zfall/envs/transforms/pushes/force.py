@@ -26,15 +26,9 @@ class PushForces:
     """
 
     def __init__(self, env: HumanoidEnv, points: Sequence[str], profile: str):
-        for point in points:
-            if point not in env.push_targets:
-                raise ValueError(
-                    f"point must be a push point or a link, one of "
-                    f"{', '.join(env.push_targets)}; got {point!r}."
-                )
         if not points:
             raise ValueError("point must name at least one push point, got none.")
-        self.bodies = torch.tensor([env.push_targets[point] for point in points])
+        self.bodies = torch.tensor([env.push_target(point) for point in points])
         self.profile = find_profile(profile)
         self.physics_dt, self.shape = env.physics_dt, (env.num_envs,)
         self.begin = env.physics_dt * torch.arange(env.substeps, dtype=torch.float64)
