@@ -15,12 +15,12 @@ from zfall.evaluation.battery import robot_of
 ASSETS = Path(str(files("zfall.envs"))) / "assets"
 MOVEMENTS = ASSETS / "zeroth01_catches.npz"
 # Files whose content a world depends on: what reads them, the key that may name another one, and
-# the one that ships.
-READ_BY: dict[str, tuple[str | None, Path]] = {
-    "KneelReference": ("catches", MOVEMENTS),
-    "FallingStart": ("bank", ASSETS / "zeroth01_falls.npz"),
-    "load_fall_network": ("path", ASSETS / "zeroth01_fall_network.pt"),
-    "ReferenceStart": (None, ASSETS / "zeroth01_motions.npz"),
+# how the name of the robot's own ends, beside its MJCF.
+READ_BY: dict[str, tuple[str | None, str]] = {
+    "KneelReference": ("catches", "catches.npz"),
+    "FallingStart": ("bank", "falls.npz"),
+    "load_fall_network": ("path", "fall_network.pt"),
+    "ReferenceStart": (None, "motions.npz"),
 }
 
 
@@ -42,17 +42,18 @@ def weights_digest(actor: torch.nn.Module | None) -> str:
 
 def env_digest(env_cfg: DictConfig) -> str:
     """Tells a world from all others, by its config, its robot, and the files it reads."""
-    text = OmegaConf.to_yaml(env_cfg, resolve=True)
+    text, robot = OmegaConf.to_yaml(env_cfg, resolve=True), robot_of(env_cfg)
     read: dict[str, str] = {}
     for node in _targets(OmegaConf.to_container(env_cfg, resolve=True)):
         name = node["_target_"].rpartition(".")[2]
         if name not in READ_BY:
             continue
-        key, shipped = READ_BY[name]
-        path = Path(node.get(key) or shipped) if key else shipped
+        key, ending = READ_BY[name]
+        own = Path(robot.mjcf).with_name(f"{robot.name}_{ending}")
+        path = Path(node.get(key) or own) if key else own
         if path.exists():  # else its reader says so
             read[name] = read.get(name, "") + file_digest(path)
-    return digest({"env": text, "robot": identity_of(robot_of(env_cfg)), "files": read})
+    return digest({"env": text, "robot": identity_of(robot), "files": read})
 
 
 def _targets(value: Any) -> list[dict[str, Any]]:

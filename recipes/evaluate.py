@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,16 +73,15 @@ def main(cfg: DictConfig) -> None:
         if cfg.checkpoint not in ("last", "best"):
             raise ValueError(f"checkpoint must be last or best, got {cfg.checkpoint}.")
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
-        policies = [name for name in names if name not in BASELINES]
-        if cfg.get("env") is None and 0 < len(policies) < len(names):
-            with open_dict(cfg):  # baselines meet the world of the first policy
-                cfg.env = load_run(cfg, policies[0])[0]
-        tested = [Tested.load(cfg, name, output, setting_of(cfg)) for name in names]
+        tested = [
+            Tested.load(in_world_of_policies(cfg, name, names), name, output, setting_of(cfg))
+            for name in names
+        ]
         if cfg.trial is not None:
             folder = tested[0].folder if len(tested) == 1 else output
             show_trial(battery, tested, cfg, console, folder)
             return
-        results = {each.name: run_or_read(battery, each, cfg, console) for each in tested}
+    results = {each.name: run_or_read(battery, each, cfg, console) for each in tested}
     if len(tested) > 1:
         folder = output / "comparison" / setting_of(cfg)
         folder.mkdir(parents=True, exist_ok=True)
@@ -93,6 +92,23 @@ def main(cfg: DictConfig) -> None:
             console.print(f"wrote {write_report(Path(each.name))}")
     if not any(output.iterdir()):  # hydra makes it; the results lie in the run folder
         output.rmdir()
+
+
+def in_world_of_policies(cfg: DictConfig, name: str, names: Sequence[str]) -> DictConfig:
+    """The config for a baseline, which meets the world of the first policy beside it.
+
+    ``scripted_kneel`` that of the first that has modes.
+    """
+    if name not in BASELINES or cfg.get("env") is not None:
+        return cfg
+    for policy in (other for other in names if other not in BASELINES):
+        world = load_run(cfg, policy)[0]
+        if name != "scripted_kneel" or world.transforms.get("kneel_reference") is not None:
+            given = cfg.copy()
+            with open_dict(given):
+                given.env = world
+            return given
+    return cfg
 
 
 def setting_of(cfg: DictConfig) -> str:

@@ -71,9 +71,9 @@ def write_results(
         written += _table(folder, "outcomes", rows)
         console.print(markdown(rows), markup=False, soft_wrap=True)
         peaks = ("base_acceleration", "torso_head_force")
-        values = {peak: summary[f"falls_peak_{peak}_mean"] for peak in peaks}
+        values = {peak: summary[f"grid_falls_peak_{peak}_mean"] for peak in peaks}
         means = ", ".join(f"{k} {v:.3g}" for k, v in values.items() if v is not None)
-        console.print(f"mean peaks over {summary['falls']} falls: {means}")
+        console.print(f"mean peaks over {summary['grid_falls']} falls: {means}")
     else:
         lines = references(robot, battery.durations[0])
         written += _figures(

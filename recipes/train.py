@@ -4,16 +4,16 @@ import csv
 import gc
 import math
 import os
-import shutil
 import signal
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -33,6 +33,7 @@ KEYS = {
     *("env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
     *("auxiliary_losses", "auxiliary_share", "augmentation"),
 }
+VERSION = 2  # of what is needed to go on; raise it when that changes
 WINDOW = 10  # updates over which the best checkpoint is looked for
 LOSS_KEYS = {
     *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
@@ -44,7 +45,7 @@ LOSS_KEYS = {
 def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     folder = Path(HydraConfig.get().runtime.output_dir)
-    with one_line_errors(), removed_if_refused(folder):
+    with one_line_errors(), removed_if_unused(folder):
         check_keys(cfg, KEYS)
         if not (isinstance(cfg.total_frames, (int, float)) and cfg.total_frames > 0):
             raise ValueError(f"total_frames must be a positive number, got {cfg.total_frames}.")
@@ -55,12 +56,12 @@ def main(cfg: DictConfig) -> None:
             folder = Path(cfg.resume)
             state = checkpoint.load(folder / "checkpoints" / "last.pt")
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
-            remove_unused(Path(HydraConfig.get().runtime.output_dir), folder)
         elif (folder / "metrics.csv").exists():
             raise ValueError(
                 f"hydra.run.dir must be a folder without a run, {folder} holds one; "
                 f"resume={shown_path(folder)} goes on with it."
             )
+        try_one_step(cfg.env)
         learner = Learner(cfg)
         if cfg.warm_start is not None:
             try:
@@ -70,11 +71,13 @@ def main(cfg: DictConfig) -> None:
                     raise
         untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
         run = RunFolder(folder)
-        if state is not None:
+        if state is None:
+            write_config(cfg, HydraConfig.get().overrides.task, folder)
+        else:
             robot = identity_of(learner.env.base_env.robot)
             checkpoint.check_fits(state, robot, learner.actor, folder)
-            learner.load_state_dict(state)
             run.load_state_dict(state["run"])
+            learner.load_state_dict(state)
     console = Console()
     if not train(learner, run, console):
         line = shell_line("train", f"resume={shown_path(folder)}")
@@ -95,28 +98,33 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     learner, run = Learner(cfg), RunFolder(folder)
     if (folder / "checkpoints" / "last.pt").exists():
         state = checkpoint.load(folder / "checkpoints" / "last.pt")
-        learner.load_state_dict(state)
         run.load_state_dict(state["run"])
+        learner.load_state_dict(state)
     elif cfg.warm_start is not None:
         warm_start(learner, cfg.warm_start)
     return train(learner, run, console)
 
 
 @contextmanager
-def removed_if_refused(folder: Path) -> Iterator[None]:
-    """Removes a folder that holds no more than hydra's files, should there be an error."""
+def removed_if_unused(folder: Path) -> Iterator[None]:
+    """Removes the folder that hydra makes if nothing was put into it, error or not."""
     try:
         yield
-    except Exception:
-        if folder.is_dir() and {path.name for path in folder.iterdir()} <= {".hydra"}:
-            shutil.rmtree(folder)
-        raise
+    finally:
+        with suppress(OSError):  # it holds something
+            folder.rmdir()
 
 
-def remove_unused(made: Path, folder: Path) -> None:
-    """Removes the folder that hydra made for this call, if ``folder`` is not in it."""
-    if not folder.resolve().is_relative_to(made.resolve()):
-        shutil.rmtree(made)
+def write_config(cfg: DictConfig, overrides: Sequence[str], folder: Path) -> None:
+    """Writes what hydra itself would write before it is known whether the run is refused."""
+    (folder / ".hydra").mkdir(parents=True, exist_ok=True)
+    OmegaConf.save(cfg, folder / ".hydra" / "config.yaml")
+    OmegaConf.save(OmegaConf.create(list(overrides)), folder / ".hydra" / "overrides.yaml")
+
+
+def try_one_step(env_cfg: DictConfig) -> None:
+    """Takes a step in two worlds of their own: terms and transforms that fail do so now."""
+    instantiate(env_cfg, base_env={"num_envs": 2}).rollout(1)
 
 
 def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictConfig:
@@ -281,10 +289,25 @@ class RunFolder:
 
     def state_dict(self, updates: int) -> dict[str, Any]:
         """What the files need to go on from."""
-        return {"updates": updates, "last": self.last, "recent": self.recent, "best": self.best}
+        return {
+            "version": VERSION,
+            "updates": updates,
+            "last": self.last,
+            "recent": self.recent,
+            "best": self.best,
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from a checkpoint: rows written after it are dropped."""
+        """Goes on from a checkpoint: rows written after it are dropped.
+
+        Raises:
+            ValueError: if another version of this program trained it.
+        """
+        if state.get("version") != VERSION:
+            raise ValueError(
+                f"{self.folder} must be a run of version {VERSION} to go on with it, got "
+                f"{state.get('version')}; its policy can be read, its training begins anew."
+            )
         self.last, self.recent, self.best = state["last"], state["recent"], state["best"]
         for name in ("metrics.csv", "timing.csv"):
             path = self.folder / name

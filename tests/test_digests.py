@@ -1,66 +1,66 @@
 """A digest changes with whatever changes a world."""
 
+import dataclasses
+import shutil
+from pathlib import Path
+
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from recipes import digests
-from recipes.digests import env_digest
+from recipes.digests import ASSETS, READ_BY, env_digest
+from zfall.envs.robots import ZEROTH01
 
-BASE = {"base_env": {"num_envs": 1}}
 NODES = {
     "KneelReference": {"_target_": "zfall.envs.transforms.actions.KneelReference"},
     "FallingStart": {"_target_": "zfall.envs.transforms.starts.FallingStart"},
     "ReferenceStart": {"_target_": "zfall.envs.transforms.starts.ReferenceStart"},
-    "load_fall_network": {
-        "_target_": "zfall.envs.transforms.modes.FallPredictor",
-        "network": {"_target_": "zfall.modules.fall_network.load_fall_network"},
-    },
+    "load_fall_network": {"_target_": "zfall.modules.fall_network.load_fall_network"},
 }
+NAMED = [name for name, (key, _) in READ_BY.items() if key]
 
 
-def world(name: str, **values: str):
-    node = {**NODES[name], **values} if name != "load_fall_network" else NODES[name]
-    if name == "load_fall_network":
-        node = {**node, "network": {**node["network"], **values}}
-    return OmegaConf.create({**BASE, "transforms": {"one": node}})
+def world(name: str, **values: str) -> DictConfig:
+    """With the node within a list within another one."""
+    outer = {"_target_": "some.Other", "parts": [None, NODES[name] | values]}
+    return OmegaConf.create({"base_env": {"num_envs": 1}, "transforms": {"one": outer}})
 
 
 @pytest.fixture
-def file(tmp_path):
-    path = tmp_path / "file.npz"
-    path.write_bytes(b"some")
-    return path
+def assets(tmp_path, monkeypatch) -> Path:
+    """A copy of the robot's files, which the digest takes for its own."""
+    folder = shutil.copytree(ASSETS, tmp_path / "assets")
+    robot = dataclasses.replace(ZEROTH01, mjcf=str(folder / Path(ZEROTH01.mjcf).name))
+    monkeypatch.setattr(digests, "robot_of", lambda cfg: robot)
+    return folder
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_the_file_that_ships_counts_by_its_content(name, file, monkeypatch):
-    key, _ = digests.READ_BY[name]
+def test_the_robots_own_file_counts_by_its_content(name, assets):
     before = env_digest(world(name))
-    monkeypatch.setitem(digests.READ_BY, name, (key, file))
-    after = env_digest(world(name))
-    assert after != before
-    file.write_bytes(b"other")
-    assert env_digest(world(name)) != after
+    file = assets / f"zeroth01_{READ_BY[name][1]}"
+    file.write_bytes(file.read_bytes() + b"more")
+    assert env_digest(world(name)) != before
 
 
-@pytest.mark.parametrize("name", [name for name, (key, _) in digests.READ_BY.items() if key])
-def test_a_file_of_ones_own_counts_by_its_content_and_the_one_that_ships_does_not(
-    name, file, monkeypatch, tmp_path
+@pytest.mark.parametrize("name", NAMED)
+def test_a_file_that_is_named_counts_by_its_content_and_the_robots_own_does_not(
+    name, assets, tmp_path
 ):
-    key, _ = digests.READ_BY[name]
+    key, ending = READ_BY[name]
+    file = tmp_path / "recorded.npz"
+    file.write_bytes(b"some")
     cfg = world(name, **{key: str(file)})
     before = env_digest(cfg)
-    other = tmp_path / "ships.npz"
-    other.write_bytes(b"unread")
-    monkeypatch.setitem(digests.READ_BY, name, (key, other))
+    (assets / f"zeroth01_{ending}").write_bytes(b"unread")
     assert env_digest(cfg) == before
     file.write_bytes(b"recorded anew")
     assert env_digest(cfg) != before
 
 
-def test_a_world_that_reads_none_of_them_does_not_depend_on_them(file, monkeypatch):
-    cfg = OmegaConf.create({**BASE, "transforms": {"one": {"_target_": "a.B", "list": [1, None]}}})
+def test_a_world_that_reads_none_of_them_does_not_depend_on_them(assets):
+    cfg = OmegaConf.create({"base_env": {}, "transforms": {"one": {"_target_": "a.B", "x": [1]}}})
     before = env_digest(cfg)
-    for name, (key, _) in list(digests.READ_BY.items()):
-        monkeypatch.setitem(digests.READ_BY, name, (key, file))
+    for _, ending in READ_BY.values():
+        (assets / f"zeroth01_{ending}").write_bytes(b"other")
     assert env_digest(cfg) == before

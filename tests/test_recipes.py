@@ -212,6 +212,11 @@ def test_batches_are_those_that_were_published(compose_config):
     assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at its 50 Hz
 
 
+def row(td, next_td):
+    """A reward term without its last dimension."""
+    return next_td["done"][:, 0].float()
+
+
 BAD = [
     (["num_envs=0"], "num_envs must be at least 1, got 0"),
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
@@ -231,6 +236,12 @@ BAD = [
     (
         ["warm_start=pose_hold"],
         "warm_start must be a run folder, or one of atalante, best, kneel; there",
+    ),
+    (
+        [
+            "+env.transforms.reward.terms.mine=[0.1,{_target_:tests.test_recipes.row,_partial_:true}]"
+        ],
+        "terms.mine must return (2, 1), one number per world, got (2,)",
     ),
     (["total_frames=many"], "total_frames must be a positive number, got many"),
     (
@@ -271,7 +282,7 @@ def test_bad_input_ends_before_the_first_step_with_a_clear_line(overrides, messa
     ]
     assert len(lines) == 1
     assert lines[0].startswith("error: ")
-    assert not (tmp_path / ".hydra").exists()
+    assert not tmp_path.exists() or not any(tmp_path.iterdir())  # nothing is left behind
 
 
 def test_resuming_with_another_actor_is_refused(trained, tmp_path):
@@ -281,21 +292,47 @@ def test_resuming_with_another_actor_is_refused(trained, tmp_path):
 
 
 def test_a_folder_that_holds_a_run_is_not_trained_into(trained):
-    before = (trained / "metrics.csv").read_text()
-    done = run("train", *TINY, f"hydra.run.dir={trained}")
+    names = ("metrics.csv", ".hydra/config.yaml", ".hydra/overrides.yaml")
+    before = [(trained / name).read_text() for name in names]
+    done = run("train", *TINY, "seed=5", f"hydra.run.dir={trained}")
     assert done.returncode != 0
     assert f"hydra.run.dir must be a folder without a run, {trained} holds one" in done.stderr
-    assert (trained / "metrics.csv").read_text() == before
+    assert [(trained / name).read_text() for name in names] == before
 
 
 @pytest.mark.parametrize("where", ["", "/.."])
 def test_a_run_survives_being_resumed_into_its_own_folder(where, tmp_path):
     folder = tmp_path / "runs" / "one"
     assert run("train", *TINY, f"hydra.run.dir={folder}").returncode == 0
+    config = (folder / ".hydra" / "config.yaml").read_text()
     more = [f"resume={folder}", "total_frames=96", f"hydra.run.dir={folder}{where}"]
     done = run("train", *more)
     assert done.returncode == 0, done.stderr
+    assert (folder / ".hydra" / "config.yaml").read_text() == config
     assert pd.read_csv(folder / "metrics.csv")["frames"].tolist() == [32, 64, 96]
+
+
+def test_resuming_leaves_other_folders_alone(trained, tmp_path):
+    """Whatever hydra is told to be its folder: only one that it made, and that is empty, goes."""
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / ".hydra").mkdir()
+    done = run("train", f"resume={trained}", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / ".hydra").exists()
+
+
+def test_a_run_of_another_version_is_not_gone_on_with(trained, tmp_path):
+    content = checkpoint.load(trained / "checkpoints" / "last.pt")
+    content.pop("format")
+    content["run"].pop("version")
+    (tmp_path / "checkpoints").mkdir()
+    checkpoint.save(tmp_path / "checkpoints" / "last.pt", content)
+    (tmp_path / "metrics.csv").write_text("update,falls\n1,3\n")
+    done = run("train", f"resume={tmp_path}", "total_frames=96")
+    assert done.returncode != 0
+    assert "must be a run of version 2 to go on with it, got None" in done.stderr
+    assert (tmp_path / "metrics.csv").read_text() == "update,falls\n1,3\n"
 
 
 def test_the_best_checkpoint_is_the_hardest_level_then_the_highest_return(tmp_path):

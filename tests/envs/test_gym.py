@@ -89,6 +89,18 @@ def test_a_seed_takes_a_curriculum_back_to_its_begin():
     assert curriculum.level.tolist() == [0.0]
 
 
+@pytest.mark.parametrize(
+    "make", [gymnasium.make, lambda id, **more: gymnasium.make_vec(id, num_envs=2, **more)]
+)
+def test_a_stack_of_observations_begins_anew_with_a_seed(make):
+    """TorchRL's makes its buffer at the first reset."""
+    stack = "+env.transforms.stack={_target_:torchrl.envs.CatFrames,N:3,dim:-1,in_keys:[observation],out_keys:[observation]}"
+    env = make(ID, overrides=[stack])
+    first = env.reset(seed=2)[0]
+    env.step(np.zeros(env.action_space.shape))
+    np.testing.assert_array_equal(env.reset(seed=2)[0], first)
+
+
 def test_without_a_seed_two_envs_differ():
     starts = [gymnasium.make(ID).reset()[0] for _ in range(2)]
     assert np.abs(starts[0] - starts[1]).max() > 1e-3

@@ -145,6 +145,6 @@ def test_summary_by_hand():
     assert summary["listed"]["(20, 0)"]["recovered"] == 0.5
     assert summary["listed"]["(20, 0)"]["kneeled"] == 0.0
     assert summary["listed"]["(20, 0)"]["clean"] is None  # nothing kneeled
-    assert summary["falls"] == 4  # of the grid
-    assert summary["falls_peak_base_acceleration_mean"] == 50.0
-    assert summary["falls_peak_torso_head_force_mean"] == pytest.approx((30 + 110) / 4)
+    assert summary["grid_falls"] == 4  # of the grid
+    assert summary["grid_falls_peak_base_acceleration_mean"] == 50.0
+    assert summary["grid_falls_peak_torso_head_force_mean"] == pytest.approx((30 + 110) / 4)

@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
+from torch.nn.parameter import is_lazy
 from torchrl.envs import TransformedEnv, step_mdp
 
 from zfall.envs.tasks import ACTION_LIMIT, Table, action_bounds, build_task
@@ -60,7 +61,7 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         self.metadata = type(self).metadata | {"render_fps": fps}
         self.render_mode = render_mode
         self._renderer: mujoco.Renderer | None = None
-        self._seeded, self._fresh = False, self.torchrl_env.transform.state_dict()
+        self._seeded, self._fresh = False, _buffers(self.torchrl_env)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -70,7 +71,8 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         super().reset(seed=seed)
         if seed is not None or not self._seeded:
             _seed(self.torchrl_env, self.np_random)
-            self.torchrl_env.transform.load_state_dict(self._fresh)  # levels of curricula, too
+            # Levels of curricula, too; what is made at the first reset is not among it.
+            self.torchrl_env.transform.load_state_dict(self._fresh, strict=False)
             self._seeded = True
         self._td = self.torchrl_env.reset()
         return _array(self._td["observation"][0]), {}
@@ -134,7 +136,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
         spaces = _spaces(self.torchrl_env, action_limit)
         self.single_observation_space, self.single_action_space = spaces
         self.observation_space, self.action_space = (batch_space(s, num_envs) for s in spaces)
-        self._seeded, self._fresh = False, self.torchrl_env.transform.state_dict()
+        self._seeded, self._fresh = False, _buffers(self.torchrl_env)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -146,7 +148,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
         super().reset(seed=seed)
         if seed is not None or not self._seeded:
             _seed(self.torchrl_env, self.np_random)
-            self.torchrl_env.transform.load_state_dict(self._fresh)  # levels of curricula, too
+            self.torchrl_env.transform.load_state_dict(self._fresh, strict=False)
             self._seeded = True
         self._td = self.torchrl_env.reset()
         return _array(self._td["observation"]), {}
@@ -173,6 +175,12 @@ def _spaces(env: TransformedEnv, limit: float) -> tuple[Box, Box]:
     """Observation and action space of one world."""
     size = env.observation_spec["observation"].shape[-1]
     return Box(-np.inf, np.inf, (size,), np.float32), Box(*action_bounds(env, limit))
+
+
+def _buffers(env: TransformedEnv) -> dict[str, torch.Tensor]:
+    """Copies of what the transforms keep, as far as it is there."""
+    kept = env.transform.named_buffers()
+    return {key: value.clone() for key, value in kept if not is_lazy(value)}
 
 
 def _seed(env: TransformedEnv, generator: np.random.Generator) -> None:

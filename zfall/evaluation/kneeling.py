@@ -97,7 +97,7 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
     Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` and
     ``untouched`` (without contact of torso or head: of the kneels, of all not recovered), each
     with ``_low`` and ``_high``, its Wilson 95 % interval; ``null`` if there is nothing to count.
-    ``falls`` and the means are of the grid, whose pushes hardly anyone recovers from: over the
+    ``grid_falls`` and the means are of the grid, whose pushes hardly anyone recovers from: over the
     list they would be over other pushes for each policy.
     """
     pushed = trials[trials["impulse"] > 0]
@@ -114,12 +114,12 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
             _force_name(group): _outcomes(group)
             for _, group in listed.groupby(["impulse", "direction_rad"], sort=False)
         },
-        "falls": len(fallen),
-        "falls_peak_base_acceleration_mean": _mean(fallen["peak_base_acceleration"]),
-        "falls_peak_torso_head_force_mean": _mean(torso_head),
-        "falls_impact_energy_mean": _mean(fallen["impact_energy"]),
-        "falls_joint_torque_peak_mean": _mean(fallen["joint_torque_peak"]),
-        "kneel_time_s_mean": _mean(fallen["kneel_time_s"]),
+        "grid_falls": len(fallen),
+        "grid_falls_peak_base_acceleration_mean": _mean(fallen["peak_base_acceleration"]),
+        "grid_falls_peak_torso_head_force_mean": _mean(torso_head),
+        "grid_falls_impact_energy_mean": _mean(fallen["impact_energy"]),
+        "grid_falls_joint_torque_peak_mean": _mean(fallen["joint_torque_peak"]),
+        "grid_kneel_time_s_mean": _mean(fallen["kneel_time_s"]),
     }
 
 

@@ -52,7 +52,9 @@ class WeightedReward(Transform):
             try:
                 value = weight * term(tensordict, next_tensordict)
             except KeyError as error:
-                raise ValueError(f"terms.{name}: {error.args[0]}") from error
+                raise ValueError(
+                    f"terms.{name} reads what is not there: {error.args[0]}"
+                ) from error
             if value.shape != self.shape:
                 raise ValueError(
                     f"terms.{name} must return {self.shape}, one number per world, "

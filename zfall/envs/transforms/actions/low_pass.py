@@ -16,7 +16,7 @@ class LowPass(Transform):
 
     ``y += (1 - exp(-dt / time_constant)) (x - y)`` at every physics step dt, the exact solution of
     ``time_constant dy/dt = x - y`` for a command x held over the step; the servo gets the value
-    at the end of the step. It begins an episode at the standing reference.
+    at the end of the step. It begins an episode where the joints are.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``.
