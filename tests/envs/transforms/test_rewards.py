@@ -106,7 +106,7 @@ def test_entries_that_are_no_terms_are_refused(make_base, entry, message):
     ("term", "message"),
     [
         (row, r"terms.mine must return \(3, 1\), one number per world, got \(3,\)"),
-        (elsewhere, "terms.mine: .*joint_vel"),
+        (elsewhere, "terms.mine reads what is not there: .*joint_vel"),
     ],
 )
 def test_terms_that_go_wrong_are_named_at_the_first_step(make_base, term, message):

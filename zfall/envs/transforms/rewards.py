@@ -35,11 +35,12 @@ class WeightedReward(Transform):
         self.shape = (env.num_envs, 1)
         self.terms = {}
         for name, entry in terms.items():
-            if not (isinstance(entry, (list, tuple)) and len(entry) == 2 and callable(entry[1])):
+            pair = isinstance(entry, (list, tuple)) and len(entry) == 2
+            if pair and entry[0] is None:
+                continue
+            if not (pair and callable(entry[1])):
                 raise ValueError(f"terms.{name} must be [weight, function], got {entry}.")
             weight, term = entry
-            if weight is None:
-                continue
             if not isinstance(weight, (int, float)):
                 raise ValueError(f"terms.{name} must have a number as its weight, got {weight}.")
             self.terms[name] = weight, bind(term, robot=env.robot, joint_range=env.joint_range)
