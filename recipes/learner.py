@@ -1,7 +1,6 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
 import inspect
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,7 +8,6 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
-from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel
 from torchrl.envs import ExplorationType, set_exploration_type
@@ -17,6 +15,7 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
+from recipes.averaging import moving_average
 from recipes.one_line import check_whole
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
@@ -288,18 +287,3 @@ class Learner:
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]
-
-
-def moving_average(decay: float) -> Callable[..., None]:
-    """Rule of an exponential average whose weights sum to one from the first update on.
-
-    After n updates that of k updates ago weighs ``decay^k (1 - decay) / (1 - decay^n)``; torch's
-    own rule gives ``decay^(n - 1)`` to the first one, a third of all after 60 updates at 0.98.
-    """
-
-    @torch.no_grad()
-    def update(averaged: list[Tensor], current: list[Tensor], count: Tensor) -> None:
-        weight = (1 - decay) / (1 - decay ** (int(count) + 1))
-        torch._foreach_lerp_(averaged, current, weight)
-
-    return update

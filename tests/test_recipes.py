@@ -21,8 +21,9 @@ import torch
 from omegaconf import OmegaConf
 
 from recipes.one_line import start
+from recipes.run_folder import RunFolder
 from recipes.tested import held, keep
-from recipes.train import RunFolder, garbage_collector_of_new_things
+from recipes.train import garbage_collector_of_new_things
 from zfall import checkpoint
 from zfall.envs.make import left_out
 from zfall.envs.robots import ZEROTH01
