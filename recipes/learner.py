@@ -17,6 +17,7 @@ from torchrl.objectives.value import GAE
 
 from recipes.averaging import moving_average
 from recipes.one_line import check_whole
+from recipes.tested import read_teacher
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
 from zfall.envs.threads import physics_first
@@ -143,10 +144,10 @@ class Learner:
         self.frames = self.updates = 0
 
     def _build(self, config: DictConfig, *args: object) -> Any:
-        """A loss or augmentation, given what it asks for by name: ``spans`` and ``mirrors``.
+        """A loss or augmentation, given what it asks for: ``spans``, ``mirrors``, ``teacher``.
 
         ``spans`` say where each quantity lies in the observation; ``mirrors`` reflect the keys
-        that the class names as ``mirrored``.
+        that the class names as ``mirrored``; the teacher, a run, is read.
         """
         target = get_object(config["_target_"])
         asked = inspect.signature(target).parameters
@@ -155,6 +156,8 @@ class Learner:
             known["spans"] = self._spans("observation")[0]
         if "mirrors" in asked:
             known["mirrors"] = {key: self._mirror(key) for key in target.mirrored}
+        if "teacher" in asked:
+            known["teacher"] = read_teacher(config.teacher, self.cfg)
         return instantiate(config, *args, **known)
 
     def _spans(self, key: str) -> tuple[dict[str, slice], Any]:

@@ -98,13 +98,31 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         return given if run == "scripted_kneel" else held(given), None
     path = checkpoint_of(run, cfg.checkpoint, others=BASELINES)
     content = checkpoint.load(path)
-    run_cfg = OmegaConf.create(content["config"])
-    env_cfg = changed(run_cfg.env, cfg.get("change", []))
+    env_cfg = changed(OmegaConf.create(content["config"]).env, cfg.get("change", []))
+    return env_cfg, policy_of(content, env_cfg, path)
+
+
+def policy_of(content: dict[str, Any], env_cfg: DictConfig, path: Path) -> torch.nn.Module:
+    """The policy of a checkpoint, for the env of this config; raises if it does not fit."""
     env = instantiate(env_cfg, base_env={"num_envs": 1})
-    actor = instantiate(run_cfg.actor, env.observation_spec, env.action_spec)
+    actor_cfg = OmegaConf.create(content["config"]).actor
+    actor: torch.nn.Module = instantiate(actor_cfg, env.observation_spec, env.action_spec)
     checkpoint.check_fits(content, identity_of(env.base_env.robot), actor, path)
     actor.load_state_dict(content["policy"])
-    return env_cfg, actor
+    return actor
+
+
+def read_teacher(run: str, pupil: DictConfig) -> torch.nn.Module:
+    """The policy of a run, for a training by this config to learn from.
+
+    Raises:
+        ValueError: if there is no such run, or its policy sees or does something else.
+    """
+    path = checkpoint_of(run, key="teacher")
+    content = checkpoint.load(path)
+    cfg = OmegaConf.create(content["config"])
+    check_same_interface({run: cfg, "this run": pupil})
+    return policy_of(content, cfg.env, path)
 
 
 def held(env_cfg: DictConfig) -> DictConfig:

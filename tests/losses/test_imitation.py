@@ -1,0 +1,105 @@
+"""Imitation against the KL divergence of Gaussians, step by step with a memory, and in training."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torch.distributions import Independent, Normal, kl_divergence
+from torch.testing import assert_close
+from torchrl.data import Composite, Unbounded
+
+from recipes.learner import Learner
+from zfall.losses.imitation import ImitationLoss
+from zfall.modules.actors import gru_actor, mlp_actor
+
+OBSERVED, JOINTS = 5, 3
+SPEC = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+ACTION = Unbounded((1, JOINTS))
+
+
+def small_mlp(seed: int) -> nn.Module:
+    torch.manual_seed(seed)
+    actor = mlp_actor(SPEC, ACTION, num_cells=[8])
+    for parameter in actor.parameters():
+        nn.init.normal_(parameter, std=0.5)
+    return actor
+
+
+def test_loss_is_the_divergence_of_gaussians_of_the_same_deviation():
+    policy, teacher = small_mlp(0), small_mlp(1)
+    batch = TensorDict({"observation": torch.randn(50, OBSERVED)}, [50])
+    loss = ImitationLoss(policy, teacher, coeff=0.7, std=0.3)(batch)["loss_imitation"]
+    one, other = (actor.get_dist(batch.clone()).mean for actor in (policy, teacher))
+    divergence = kl_divergence(Independent(Normal(other, 0.3), 1), Independent(Normal(one, 0.3), 1))
+    assert_close(loss, 0.7 * divergence.mean())
+    assert loss > 0.1
+
+
+def test_gradient_is_that_of_the_mean_alone_and_the_teacher_has_none():
+    policy, teacher = small_mlp(0), small_mlp(1)
+    module = ImitationLoss(policy, teacher)
+    batch = TensorDict({"observation": torch.randn(50, OBSERVED)}, [50])
+    module(batch)["loss_imitation"].backward()
+    still = {name for name, value in policy.named_parameters() if value.grad is None}
+    assert still == {name for name, _ in policy.named_parameters() if "log_std" in name}
+    assert all(value.grad is None for value in teacher.parameters())
+    ours = {value.data_ptr() for value in policy.parameters()}
+    assert {value.data_ptr() for value in module.parameters()} <= ours
+
+
+def test_a_recurrent_policy_is_followed_through_its_sequences():
+    teacher = small_mlp(1)
+    torch.manual_seed(2)
+    policy = gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, components=2)
+    for parameter in policy.parameters():
+        nn.init.normal_(parameter, std=0.5)
+    hidden, rows, errors = torch.zeros(4, 2, 8), [], []
+    for step in range(6):
+        init = torch.tensor([[step == 0], [step in (0, 3)], [step == 0], [step in (0, 2, 5)]])
+        td = TensorDict({"observation": torch.randn(4, OBSERVED), "is_init": init}, [4])
+        td["recurrent_state_actor"] = torch.where(init[:, None], 0.0, hidden)
+        rows.append(td.clone())
+        shown = TensorDict({"observation": td["observation"]}, [4])
+        with torch.no_grad():
+            mean = policy.get_dist(td.clone()).mean
+            errors.append(mean - teacher.get_dist(shown).mean)
+            hidden = policy(td)["next", "recurrent_state_actor"]
+    loss = ImitationLoss(policy, teacher, std=0.5)(torch.stack(rows, 1))["loss_imitation"]
+    expected = torch.stack(errors).square().sum(-1).mean() / (2 * 0.25)
+    assert_close(loss, expected, rtol=1e-4, atol=0)
+
+
+@pytest.mark.parametrize("actor", ["gru_mog", "mlp_gaussian"])
+def test_a_pupil_comes_closer_to_its_teacher(compose_config, actor):
+    """Within some updates, in states of its own, with PPO's loss beside."""
+    learner = Learner(
+        compose_config(
+            "experiment=best", f"actor={actor}", "imitation=teacher", "symmetry=none",
+            "num_envs=32", "rollout_steps=8", "auxiliary_share=1.0", "scheduler=null",
+            "optimizer.lr=0.001",
+        )
+    )  # fmt: skip
+    errors = [learner.learn(learner.collect())["loss_imitation"] for _ in range(12)]
+    assert sum(errors[-3:]) < 0.6 * sum(errors[:3])
+    assert not any("teacher" in key for key in learner.state_dict()["actor"])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "rule"),
+    [
+        (["experiment=quickstart"], r"best and this run must have the same env.transforms"),
+        (["auxiliary_losses.imitation.teacher=nobody"], r"teacher must be a run folder, or one of"),
+        (["auxiliary_losses.imitation.std=0"], r"std must be positive, got 0"),
+        (["auxiliary_losses.imitation.coeff=-1"], r"coeff must not be negative, got -1"),
+    ],
+)
+def test_bad_teachers_are_named(compose_config, overrides, rule):
+    given = ["experiment=best", "imitation=teacher", "num_envs=2", "minibatches=1", *overrides]
+    with pytest.raises(Exception, match=rule):
+        Learner(compose_config(*given))
+
+
+def test_a_teacher_with_memory_is_refused():
+    recurrent = gru_actor(SPEC, ACTION, hidden_size=8)
+    with pytest.raises(ValueError, match="teacher must be a policy without memory"):
+        ImitationLoss(small_mlp(0), recurrent)

@@ -1,0 +1,78 @@
+"""Learning from a teacher what to do in the states that the policy itself comes into."""
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import nn
+from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.modules import ProbabilisticActor, set_recurrent_mode
+from torchrl.objectives import LossModule
+
+from zfall.modules.actors import recurrent_keys
+
+
+class ImitationLoss(LossModule):
+    """Draws the policy's action without exploration towards that of a trained policy.
+
+    With mu the former and mu_T the latter ``(J,)``, in units of the action::
+
+        loss_imitation = coeff * mean_t |mu(o_t) - mu_T(o_t)|^2 / (2 std^2)
+
+    which is the KL divergence of two Gaussians of the same deviation ``std``. The teacher tells of
+    every state that the policy visits, so that errors do not add up as in copies of recorded
+    motions; beside PPO's loss it gives a policy a start that it may then surpass. Only the mean
+    is taught: how much the policy explores is up to it.
+
+    Keys: reads the actor's ``in_keys``, ``(B, ...)``, ``(N, T, ...)`` of a recurrent one, and
+    ``deterministic_action`` in the place of mu if the batch has it; writes ``loss_imitation``
+    ``()``.
+
+    Args:
+        actor_network: the policy.
+        teacher: a policy without memory that sees the same ``observation``; it stays as it is.
+        coeff: weight.
+        std: deviation for which two actions count as equal, in units of the action.
+
+    Raises:
+        ValueError: on a weight below 0, a deviation that is not positive, or a teacher with memory.
+
+    Source: Ross et al., "A reduction of imitation learning and structured prediction to no-regret
+    online learning", AISTATS 2011; beside a policy gradient: Schmitt et al., "Kickstarting deep
+    reinforcement learning", 2018.
+    """
+
+    actor_network: ProbabilisticActor
+    out_keys = ["loss_imitation"]
+
+    def __init__(
+        self,
+        actor_network: ProbabilisticActor,
+        teacher: nn.Module,
+        *,
+        coeff: float = 1.0,
+        std: float = 0.1,
+    ):
+        super().__init__()
+        if coeff < 0:
+            raise ValueError(f"coeff must not be negative, got {coeff}.")
+        if not std > 0:
+            raise ValueError(f"std must be positive, got {std}.")
+        if recurrent_keys(teacher):
+            raise ValueError("teacher must be a policy without memory, got a recurrent one.")
+        self.actor_network, self.in_keys = actor_network, list(actor_network.in_keys)
+        self.weight = coeff / (2.0 * std**2)
+        self._teacher: list[Any] = [teacher]  # in a list its weights are none of this module's
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The loss of a batch."""
+        mu = tensordict.get("deterministic_action", None)
+        if mu is None:
+            with set_recurrent_mode(True):
+                seen = tensordict.select(*self.actor_network.in_keys)
+                mu = self.actor_network.get_dist(seen).deterministic_sample
+        shown = TensorDict({"observation": tensordict["observation"]}, tensordict.shape)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            target = self._teacher[0](shown)["action"]
+        error = (mu - target).square().sum(-1).mean()
+        return TensorDict({"loss_imitation": self.weight * error})
