@@ -16,7 +16,7 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
 from recipes.averaging import moving_average
-from recipes.one_line import check_whole
+from recipes.one_line import check_number, check_whole
 from recipes.tested import read_teacher
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
@@ -47,8 +47,7 @@ class Learner:
                 raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
         if cfg.showcase:  # refused now rather than after the training
             load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
-        if not 0 < cfg.auxiliary_share <= 1:
-            raise ValueError(f"auxiliary_share must lie in (0, 1], got {cfg.auxiliary_share}.")
+        _check_numbers(cfg)
         if not 0 <= cfg.burn_in < cfg.rollout_steps:
             raise ValueError(f"burn_in must lie in [0, rollout_steps), got {cfg.burn_in}.")
         if cfg.loss.normalize_advantage not in ("minibatch", "batch", None):
@@ -56,16 +55,11 @@ class Learner:
                 "loss.normalize_advantage must be minibatch, batch or null, "
                 f"got {cfg.loss.normalize_advantage}."
             )
-        for key in ("gamma", "lmbda"):
-            if not 0 <= cfg.loss[key] <= 1:
-                raise ValueError(f"loss.{key} must lie in [0, 1], got {cfg.loss[key]}.")
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)
         spec, action_spec = self.env.observation_spec, self.env.action_spec
         self.actor = instantiate(cfg.actor, spec, action_spec)
-        if not 0 <= cfg.averaging < 1:
-            raise ValueError(f"averaging must lie in [0, 1), got {cfg.averaging}.")
         self._average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))
         shared: dict[str, Any] = {}
         if cfg.critic.get("normalize") == "shared":
@@ -290,3 +284,20 @@ class Learner:
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]
+
+
+def _check_numbers(cfg: DictConfig) -> None:
+    """Raises ``ValueError`` on a number out of its range, or something else in its place."""
+    check_number(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
+    check_number(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
+    check_number(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
+    if "lr" in cfg.optimizer:
+        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x > 0, "be positive")
+    for key in ("gamma", "lmbda"):
+        check_number(cfg.loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
+    check_number(cfg.loss.clip_epsilon, "loss.clip_epsilon", lambda x: x > 0, "be positive")
+    for key in ("critic_coeff", "entropy_coeff", "kl_coeff"):
+        check_number(cfg.loss[key], f"loss.{key}", lambda x: x >= 0, "not be negative")
+    for key in ("kl_stop", "kl_target", "value_clip", "value_error_clip"):
+        if cfg.loss[key] is not None:
+            check_number(cfg.loss[key], f"loss.{key}", lambda x: x > 0, "be positive or null")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig
@@ -73,6 +74,17 @@ def check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
     for key in keys:
         if type(cfg[key]) is not int:
             raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
+
+
+def check_number(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:
+    """Refuses a value that is no number, or one that the rule does not hold for.
+
+    Raises:
+        ValueError: naming it.
+    """
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (number and holds(value)):
+        raise ValueError(f"{name} must {rule}, got {value}.")
 
 
 def _innermost(error: BaseException) -> str:

@@ -224,6 +224,9 @@ BAD = [
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
     (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
+    (["loss.clip_epsilon=abc"], "loss.clip_epsilon must be positive, got abc"),
+    (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
+    (["optimizer.lr=abc"], "optimizer.lr must be positive, got abc"),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
     (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
     (
