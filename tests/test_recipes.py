@@ -239,7 +239,7 @@ BAD = [
     ),
     (
         ["warm_start=pose_hold"],
-        "warm_start must be a run folder, or one of atalante, best, kneel, zeroth_fall; there",
+        "warm_start must be a run folder, or one of atalante, best, best_gru, kneel, zeroth_fall; there",
     ),
     (
         [

@@ -33,7 +33,7 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
         steps = np.concatenate([[0.0], sizes])
         share = performance_profile(i50, steps - 1e-6)  # at least, not more than
         label = f"{name}: IQM {interquartile_mean(i50):.2f}"
-        axes.step(steps, share, style.strip("osD^"), where="pre", color=grey, label=label)
+        axes.step(steps, share, style, markersize=3, where="pre", color=grey, label=label)
         most = max(most, float(i50.max()))
     axes.set_xlim(0.0, most + 0.2)
     axes.set_xlabel("impulse I", fontsize=8)
