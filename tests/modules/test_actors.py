@@ -6,7 +6,6 @@ import pytest
 import torch
 from hydra.utils import instantiate
 from tensordict import TensorDict
-from torch import nn
 from torch.nn.functional import elu
 from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
@@ -156,38 +155,6 @@ def test_layers_of_a_stacked_gru_begin_different():
     assert len(weights) == 3
     assert not torch.equal(weights[0], weights[1])
     assert not torch.equal(weights[1], weights[2])
-
-
-@pytest.mark.parametrize("build", [gru_actor, gru_critic])
-def test_orthogonal_gates_are_rotations_behind_a_layer_of_gain_root_two(build):
-    spec, action_spec = specs()
-    module = build(spec, action_spec) if build is gru_actor else build(spec)
-    encoder = next(part for part in module.modules() if type(part) is nn.Linear)
-    narrow = encoder.weight if len(encoder.weight) <= encoder.in_features else encoder.weight.T
-    assert_close(narrow @ narrow.T, 2.0 * torch.eye(len(narrow)), atol=1e-5, rtol=0)
-    gru = next(part for part in module.modules() if isinstance(part, nn.GRU))
-    gates = [g for name, p in gru.named_parameters() if "weight" in name for g in p.chunk(3)]
-    assert len(gates) == 3 * 2 * 3
-    for gate in gates:
-        assert_close(gate @ gate.T, torch.eye(64), atol=1e-5, rtol=0)
-    biases = [p for name, p in module.named_parameters() if "bias" in name and "gru" in name]
-    assert len(biases) == 6
-    assert not any(bias.any() for bias in [*biases, encoder.bias])
-
-
-def test_features_of_an_orthogonal_gru_are_large_enough_to_learn_from():
-    """Those of torch's own draw hardly move with what is seen, behind three layers."""
-    seen = torch.randn(64, 1, 50) + torch.randn(64, 30, 50)
-    spread = {}
-    for initialization in ("orthogonal", "default"):
-        torch.manual_seed(0)
-        actor = gru_actor(*specs(), initialization=initialization)
-        encoder = next(part for part in actor.modules() if type(part) is nn.Linear)
-        gru = next(part for part in actor.modules() if isinstance(part, nn.GRU))
-        with torch.no_grad():
-            spread[initialization] = gru(encoder(seen))[0][:, 10:].std((0, 1)).mean().item()
-    assert spread["orthogonal"] > 0.3
-    assert spread["default"] < 0.15
 
 
 def test_replaying_a_sequence_gives_the_log_probabilities_of_collection():

@@ -12,6 +12,7 @@ from torchrl.modules import GRUModule, ProbabilisticActor
 from zfall.modules.heads import GaussianHead, Head, make_head
 from zfall.modules.normalization import ObservationNormalizer
 
+_HIDDEN = "recurrent_state_actor"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 
 
@@ -29,7 +30,8 @@ def mlp_trunk(
     Raises:
         ValueError: on an unknown activation or initialization.
     """
-    _check_initialization(initialization)
+    if initialization not in ("orthogonal", "default"):
+        raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
     if activation not in _ACTIVATIONS:
         names = ", ".join(_ACTIVATIONS)
         raise ValueError(f"activation must be one of {names}, got {activation!r}.")
@@ -42,11 +44,6 @@ def mlp_trunk(
         layers += [linear, _ACTIVATIONS[activation]()]
         size = cells
     return nn.Sequential(*layers)
-
-
-def _check_initialization(initialization: str) -> None:
-    if initialization not in ("orthogonal", "default"):
-        raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
 
 
 def normalizer(size: int, normalize: bool | ObservationNormalizer) -> list[nn.Module]:
@@ -110,7 +107,6 @@ def gru_actor(
     hidden_size: int = 64,
     num_layers: int = 3,
     components: int = 3,
-    initialization: str = "orthogonal",
     normalize: bool = True,
     statistic: str = "mean",
     **head: Any,
@@ -126,64 +122,33 @@ def gru_actor(
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
         components: Gaussians per joint; 0 for a plain Gaussian.
-        initialization: of the layers before the head, see ``gru_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         head: as of ``mlp_actor``.
 
     Raises:
-        ValueError: on another statistic or initialization, or a mixture of fixed deviation.
+        ValueError: on another statistic, or a mixture of fixed deviation.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(hidden_size, joints, components=components, **head)
-    encoder, memory = gru_trunk(size, hidden_size, num_layers, "actor", initialization)
+    encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     module = TensorDictSequential(
-        TensorDictModule(
-            nn.Sequential(*normalizer(size, normalize), encoder),
-            in_keys=["observation"],
-            out_keys=["embedding_actor"],
-        ),
-        memory,
+        TensorDictModule(encoder, in_keys=["observation"], out_keys=["embedding_actor"]),
+        gru(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
         TensorDictModule(out, in_keys=["features_actor"], out_keys=list(out.keys)),
     )
     return _actor(module, out, statistic)
 
 
-def gru_trunk(
-    size: int, hidden_size: int, num_layers: int, name: str, initialization: str = "orthogonal"
-) -> tuple[nn.Linear, GRUModule]:
-    """A linear layer and the stacked GRU cells behind it, whose memory is in the TensorDict.
-
-    The cells read ``embedding_NAME``, ``is_init`` and ``recurrent_state_NAME``, and write
-    ``features_NAME`` and ``("next", "recurrent_state_NAME")``.
-
-    Weights are drawn ``orthogonal``, of gain sqrt(2) in the linear layer and 1 in every gate, with
-    biases of zero; or as torch does by itself, ``default``, whose features are ten times smaller
-    than those of an MLP behind three layers of cells, too small for a head to learn from.
-
-    Raises:
-        ValueError: on an unknown initialization.
-    """
-    _check_initialization(initialization)
-    encoder = nn.Linear(size, hidden_size)
-    hidden = f"recurrent_state_{name}"
-    memory = GRUModule(
-        input_size=hidden_size,
-        hidden_size=hidden_size,
+def gru(size: int, num_layers: int, in_key: str, out_key: str, hidden: str) -> GRUModule:
+    """Stacked GRU cells whose hidden state travels in the TensorDict."""
+    return GRUModule(
+        input_size=size,
+        hidden_size=size,
         num_layers=num_layers,
-        in_keys=[f"embedding_{name}", hidden, "is_init"],
-        out_keys=[f"features_{name}", ("next", hidden)],
+        in_keys=[in_key, hidden, "is_init"],
+        out_keys=[out_key, ("next", hidden)],
     )
-    if initialization == "orthogonal":
-        nn.init.orthogonal_(encoder.weight, math.sqrt(2))
-        nn.init.zeros_(encoder.bias)
-        for key, parameter in memory.gru.named_parameters():
-            if "bias" in key:
-                nn.init.zeros_(parameter)
-            else:
-                for gate in parameter.data.chunk(3):
-                    nn.init.orthogonal_(gate)
-    return encoder, memory
 
 
 def _actor(module: TensorDictModule, head: Head, statistic: str) -> ProbabilisticActor:

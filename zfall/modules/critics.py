@@ -7,8 +7,10 @@ from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import gru_trunk, mlp_trunk, normalizer
+from zfall.modules.actors import gru, mlp_trunk, normalizer
 from zfall.modules.normalization import ObservationNormalizer
+
+_HIDDEN = "recurrent_state_critic"
 
 
 class ValueHead(nn.Linear):
@@ -62,7 +64,6 @@ def gru_critic(
     *,
     hidden_size: int = 64,
     num_layers: int = 3,
-    initialization: str = "orthogonal",
     normalize: bool | ObservationNormalizer = True,
     scale: float = 1.0,
 ) -> TensorDictSequential:
@@ -76,23 +77,16 @@ def gru_critic(
         observation_spec: of the env.
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
-        initialization: of the layers before the head, see ``gru_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far; or
             the normaliser of an actor that sees the same, to be shared.
         scale: unit of the values.
     """
     size = observation_spec["observation_critic"].shape[-1]
-    encoder, memory = gru_trunk(size, hidden_size, num_layers, "critic", initialization)
+    encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     critic = TensorDictSequential(
-        TensorDictModule(
-            nn.Sequential(*normalizer(size, normalize), encoder),
-            in_keys=["observation_critic"],
-            out_keys=["embedding_critic"],
-        ),
-        memory,
+        TensorDictModule(encoder, in_keys=["observation_critic"], out_keys=["embedding_critic"]),
+        gru(hidden_size, num_layers, "embedding_critic", "features_critic", _HIDDEN),
         ValueOperator(ValueHead(hidden_size, scale), in_keys=["features_critic"]),
     )
-    critic.select_out_keys(
-        "state_value", ("next", "recurrent_state_critic")
-    )  # the rest need not be stored
+    critic.select_out_keys("state_value", ("next", _HIDDEN))  # the rest need not be stored
     return critic
