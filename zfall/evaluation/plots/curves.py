@@ -66,8 +66,8 @@ def learning_bands(
         edges = np.linspace(0.0, end, POINTS + 1)
         curves = np.array([_binned(run, key, edges) for run in runs])
         frames = 0.5 * (edges[1:] + edges[:-1]) / 1e6
-        marked = {"markevery": 5, "markersize": 3, "label": f"{name} ({len(runs)})"}
-        axes.plot(frames, curves.mean(0), style, color=grey, lw=1.4, **marked)
+        (curve,) = axes.plot(frames, curves.mean(0), style, color=grey, lw=1.4, markevery=5, ms=3)
+        curve.set_label(f"{name} ({len(runs)})")
         band = np.array([bootstrap_interval(values, resamples=999) for values in curves.T])
         axes.fill_between(frames, band[:, 0], band[:, 1], color=grey, alpha=0.18, lw=0)
     axes.set_xlabel("frames [millions]", fontsize=8)
