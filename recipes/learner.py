@@ -16,6 +16,7 @@ from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
 from recipes.averaging import moving_average
+from recipes.digests import weights_digest
 from recipes.one_line import check_number, check_whole
 from recipes.tested import read_teacher
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
@@ -67,7 +68,11 @@ class Learner:
             if shared["normalize"] is None:
                 raise ValueError("critic.normalize=shared needs an actor that has a normaliser.")
         self.critic = instantiate(cfg.critic, spec, **shared)
-        self.auxiliary = [self._build(loss, self.actor) for loss in cfg.auxiliary_losses.values()]
+        self._teachers: dict[str, str] = {}  # digests of the policies that losses learn from
+        self.auxiliary = [
+            self._build(loss, self.actor, place=f"auxiliary_losses.{name}")
+            for name, loss in cfg.auxiliary_losses.items()
+        ]
         self.augmentation = None
         if cfg.augmentation:
             self.augmentation = self._build(cfg.augmentation, [self.actor, self.critic])
@@ -137,7 +142,7 @@ class Learner:
         self.carrier = self.env.reset()
         self.frames = self.updates = 0
 
-    def _build(self, config: DictConfig, *args: object) -> Any:
+    def _build(self, config: DictConfig, *args: object, place: str = "augmentation") -> Any:
         """A loss or augmentation, given what it asks for: ``spans``, ``mirrors``, ``teacher``.
 
         ``spans`` say where each quantity lies in the observation; ``mirrors`` reflect the keys
@@ -151,7 +156,8 @@ class Learner:
         if "mirrors" in asked:
             known["mirrors"] = {key: self._mirror(key) for key in target.mirrored}
         if "teacher" in asked:
-            known["teacher"] = read_teacher(config.teacher, self.cfg)
+            teacher = read_teacher(config.get("teacher"), self.cfg, f"{place}.teacher")
+            known["teacher"], self._teachers[place] = teacher, weights_digest(teacher)
         return instantiate(config, *args, **known)
 
     def _spans(self, key: str) -> tuple[dict[str, slice], Any]:
@@ -261,6 +267,7 @@ class Learner:
             "policy": self.policy.state_dict(),
             "averaged": int(self._average.n_averaged),
             "critic": self.critic.state_dict(),
+            "teachers": self._teachers,
             "optimizer": self.optimizer.state_dict(),
             "kl_coeff": self.loss.kl_coeff.item(),
             "env": self.env.base_env.state_dict(),
@@ -272,7 +279,17 @@ class Learner:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from what ``state_dict`` gave."""
+        """Goes on from what ``state_dict`` gave.
+
+        Raises:
+            ValueError: if a policy that it learns from has changed since.
+        """
+        for place, known in state.get("teachers", {}).items():
+            if self._teachers.get(place) != known:
+                raise ValueError(
+                    f"{place}.teacher must be what it was when the run began, its weights have "
+                    "changed: put them back, or begin anew."
+                )
         self.actor.load_state_dict(state["actor"])
         self.policy.load_state_dict(state["policy"])
         self._average.n_averaged.fill_(state["averaged"])
@@ -291,6 +308,8 @@ def _check_numbers(cfg: DictConfig) -> None:
     check_number(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
     check_number(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
     check_number(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
+    if cfg.optimizer is None:
+        raise ValueError("optimizer must name one, {_target_: torch.optim.Adam, ...}, got None.")
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x > 0, "be positive")
     for key in ("gamma", "lmbda"):

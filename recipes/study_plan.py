@@ -178,6 +178,11 @@ def training_digest(cfg: DictConfig) -> str:
     wanted = {"config": OmegaConf.to_yaml(cfg, resolve=True), "env": env_digest(cfg.env)}
     if cfg.warm_start is not None:
         wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start))
+    losses = (cfg.get("auxiliary_losses") or {}).values()
+    teachers = [loss.teacher for loss in losses if "teacher" in loss]
+    if teachers:
+        paths = [checkpoint_of(str(run), key="teacher") for run in teachers]
+        wanted["teachers"] = " ".join(map(file_digest, paths))
     return digest(wanted)
 
 

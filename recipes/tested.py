@@ -112,16 +112,22 @@ def policy_of(content: dict[str, Any], env_cfg: DictConfig, path: Path) -> torch
     return actor
 
 
-def read_teacher(run: str, pupil: DictConfig) -> torch.nn.Module:
-    """The policy of a run, for a training by this config to learn from.
+def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
+    """The policy of a run, for a training by the config of the ``pupil`` to learn from.
 
     Raises:
-        ValueError: if there is no such run, or its policy sees or does something else.
+        ValueError: if there is no such run, or its policy sees or does something else; ``key`` is
+            where it is named.
     """
-    path = checkpoint_of(run, key="teacher")
+    if not isinstance(run, str):
+        raise ValueError(f"{key} must be a run folder or a policy that ships, got {run}.")
+    path = checkpoint_of(run, key=key)
     content = checkpoint.load(path)
     cfg = OmegaConf.create(content["config"])
     check_same_interface({run: cfg, "this run": pupil})
+    robot = identity_of(robot_of(pupil.env))
+    if content["robot"] != robot:
+        raise ValueError(f"{key} must be of the robot {robot}, {run} is of {content['robot']}.")
     return policy_of(content, cfg.env, path)
 
 

@@ -266,6 +266,18 @@ def test_each_of_two_policies_acts_in_its_own_mode(role, expected, monkeypatch):
     assert actor(td)["action"][:, 0].tolist() == expected
 
 
+def test_a_training_depends_on_the_weights_of_its_teacher(compose_config, tmp_path):
+    (tmp_path / "checkpoints").mkdir()
+    cfg = compose_config(
+        "experiment=best", "imitation=teacher", f"auxiliary_losses.imitation.teacher={tmp_path}"
+    )
+    found = []
+    for content in (b"one", b"other", b"one"):
+        (tmp_path / "checkpoints" / "last.pt").write_bytes(content)
+        found.append(study_plan.training_digest(cfg))
+    assert found[0] == found[2] != found[1]
+
+
 @pytest.mark.parametrize("key", ["beside", "row_seeds"])
 def test_what_is_said_of_a_row_that_is_not_there_is_refused(key):
     study = OmegaConf.create(yaml.safe_load(STUDY) | {key: {"nobody": [0]}})

@@ -18,17 +18,21 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 import torch
+from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.modules.utils import get_primers_from_module
 
 from recipes.one_line import start
 from recipes.run_folder import RunFolder
-from recipes.tested import held, keep
+from recipes.tested import POLICIES, held, keep, load_run
 from recipes.train import garbage_collector_of_new_things
 from zfall import checkpoint
 from zfall.envs.make import left_out
 from zfall.envs.robots import ZEROTH01
 from zfall.evaluation.battery import run_battery
 from zfall.evaluation.definitions import load_battery
+from zfall.modules.actors import recurrent_keys
 
 ROOT = Path(__file__).parents[1]
 TINY = ["num_envs=8", "rollout_steps=4", "minibatches=2", "total_frames=64", "checkpoint_every=1",
@@ -179,7 +183,9 @@ def test_every_actor_trains(actor, tmp_path):
 PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
 
 
-@pytest.mark.parametrize("name", [name + end for name in PAPERS for end in ("", "_laptop")])
+@pytest.mark.parametrize(
+    "name", [*(name + end for name in PAPERS for end in ("", "_laptop")), "best_gru"]
+)
 def test_every_experiment_learns(name, tmp_path):
     """Its networks, loss and optimizer, on a small batch."""
     done = run("train", f"experiment={name}", *TINY, f"hydra.run.dir={tmp_path}")
@@ -225,6 +231,7 @@ BAD = [
     (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must be positive, got abc"),
+    (["optimizer=null"], "optimizer must name one"),
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
     (["optimizer.lr=abc"], "optimizer.lr must be positive, got abc"),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
@@ -395,6 +402,26 @@ def test_run_without_a_checkpoint_is_refused(tmp_path):
     done = run("evaluate", f"run={tmp_path}")
     assert done.returncode != 0
     assert "there is no such file" in done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in POLICIES.glob("*.pt")))
+def test_a_policy_that_ships_stands_for_a_second(name):
+    """In its own world without noise, pushes and delays, from its starts."""
+    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), name)
+    env = instantiate(env_cfg, base_env={"num_envs": 4}, training=False)
+    if recurrent_keys(actor):
+        env.append_transform(get_primers_from_module(actor))
+    env.set_seed(0)
+    steps = round(1.0 / env.base_env.control_dt)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        rollout = env.rollout(steps, actor, break_when_any_done=False)
+    assert not rollout["next", "terminated"].any()
+
+
+def test_best_gru_is_configured_as_it_was_trained(compose_config):
+    content = checkpoint.load(POLICIES / "best_gru.pt")
+    cfg = compose_config("experiment=best_gru", "showcase=null")
+    assert OmegaConf.create(content["config"]) == cfg
 
 
 def test_an_evaluation_keeps_on_what_it_is_told_to(compose_config):

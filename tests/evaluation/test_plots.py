@@ -4,6 +4,7 @@ import imageio.v2 as imageio
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from zfall.envs.robots import ZEROTH01
 from zfall.evaluation.pendulum import references
@@ -67,6 +68,28 @@ def test_every_figure_is_drawn(tmp_path, ending):
         assert path.stat().st_size > 4000
         if ending == "png":
             assert imageio.imread(path).std() > 5
+
+
+def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
+    """By dashes and marks, for they are grey; of curves, profiles and traces."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
+    names = "abcdefgh"
+    steps = np.linspace(0.0, 1.0, 20)
+    curve = pd.DataFrame({"frames": steps + 1.0, "episode_seconds": steps})
+    trace = pd.DataFrame(dict.fromkeys(("time_s", "target", "position", "torque"), steps))
+    trials = pd.DataFrame(
+        [{"direction_rad": d, "impulse": i, "recovered": i < 0.3} for d in (0.0, 1.0) for i in (0.0, 0.1, 0.4)]
+    )  # fmt: skip
+    learning_bands({name: [curve] for name in names}, tmp_path / "a.png")
+    profiles_plot(dict.fromkeys(names, trials), tmp_path / "b.png", title="test")
+    trace_plot(dict.fromkeys(names, trace), tmp_path / "c.png", joint="knee", push=(0.5, 0.6))
+    assert len(drawn) == 3
+    for figure in drawn:
+        lines = [line for line in figure.axes[0].lines if line.get_label()[0] in names]
+        assert len(lines) == 8
+        looks = {(line.get_linestyle(), line.get_marker(), line.get_color()) for line in lines}
+        assert len(looks) == 8
 
 
 def test_curves_are_averaged_over_what_falls_into_a_bin():

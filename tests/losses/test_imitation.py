@@ -1,5 +1,7 @@
 """Imitation against the KL divergence of Gaussians, step by step with a memory, and in training."""
 
+import copy
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -9,6 +11,8 @@ from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 
 from recipes.learner import Learner
+from recipes.tested import POLICIES
+from zfall import checkpoint
 from zfall.losses.imitation import ImitationLoss
 from zfall.modules.actors import gru_actor, mlp_actor
 
@@ -81,7 +85,6 @@ def test_a_pupil_comes_closer_to_its_teacher(compose_config, actor):
     )  # fmt: skip
     errors = [learner.learn(learner.collect())["loss_imitation"] for _ in range(12)]
     assert sum(errors[-3:]) < 0.6 * sum(errors[:3])
-    assert not any("teacher" in key for key in learner.state_dict()["actor"])
 
 
 @pytest.mark.parametrize(
@@ -89,14 +92,39 @@ def test_a_pupil_comes_closer_to_its_teacher(compose_config, actor):
     [
         (["experiment=quickstart"], r"best and this run must have the same env.transforms"),
         (["auxiliary_losses.imitation.teacher=nobody"], r"teacher must be a run folder, or one of"),
-        (["auxiliary_losses.imitation.std=0"], r"std must be positive, got 0"),
-        (["auxiliary_losses.imitation.coeff=-1"], r"coeff must not be negative, got -1"),
+        (["auxiliary_losses.imitation.teacher=null"], r"imitation.teacher must be a run folder or"),
+        (["auxiliary_losses.imitation.teacher=kneel"], r"must see the observation alone, .* mode"),
+        (["auxiliary_losses.imitation.std=0"], r"std must be finite and positive, got 0"),
+        (["auxiliary_losses.imitation.coeff=-1"], r"coeff must be finite and not negative, got -1"),
+        (["auxiliary_losses.imitation.coeff=nan"], r"coeff must be finite and not negative, got"),
     ],
 )
 def test_bad_teachers_are_named(compose_config, overrides, rule):
     given = ["experiment=best", "imitation=teacher", "num_envs=2", "minibatches=1", *overrides]
     with pytest.raises(Exception, match=rule):
         Learner(compose_config(*given))
+
+
+def test_a_run_goes_on_only_with_the_teacher_it_began_with(compose_config, tmp_path):
+    """The same gives the same loss; weights that changed on disk are found out."""
+    folder = tmp_path / "checkpoints"
+    folder.mkdir()
+    content = checkpoint.load(POLICIES / "best.pt")
+    checkpoint.save(folder / "last.pt", content)
+    given = ["experiment=best", "imitation=teacher", "num_envs=4", "rollout_steps=4", "epochs=1",
+             "minibatches=1", f"auxiliary_losses.imitation.teacher={tmp_path}"]  # fmt: skip
+    first = Learner(compose_config(*given))
+    state = copy.deepcopy(first.state_dict())
+    expected = first.learn(first.collect())["loss_imitation"]
+    second = Learner(compose_config(*given))
+    second.load_state_dict(state)
+    assert second.learn(second.collect())["loss_imitation"] == expected
+    name = next(key for key in content["policy"] if key.endswith("weight"))
+    content["policy"][name] += 0.1
+    checkpoint.save(folder / "last.pt", content)
+    changed = Learner(compose_config(*given))
+    with pytest.raises(ValueError, match="auxiliary_losses.imitation.teacher must be what it was"):
+        changed.load_state_dict(state)
 
 
 def test_a_teacher_with_memory_is_refused():

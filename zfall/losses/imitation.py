@@ -1,10 +1,11 @@
 """Learning from a teacher what to do in the states that the policy itself comes into."""
 
+import math
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import nn
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
@@ -35,7 +36,8 @@ class ImitationLoss(LossModule):
         std: deviation for which two actions count as equal, in units of the action.
 
     Raises:
-        ValueError: on a weight below 0, a deviation that is not positive, or a teacher with memory.
+        ValueError: on a weight below 0, a deviation that is not positive, or a teacher that has a
+            memory or sees more.
 
     Source: Ross et al., "A reduction of imitation learning and structured prediction to no-regret
     online learning", AISTATS 2011; beside a policy gradient: Schmitt et al., "Kickstarting deep
@@ -48,18 +50,20 @@ class ImitationLoss(LossModule):
     def __init__(
         self,
         actor_network: ProbabilisticActor,
-        teacher: nn.Module,
+        teacher: TensorDictModuleBase,
         *,
         coeff: float = 1.0,
         std: float = 0.1,
     ):
         super().__init__()
-        if coeff < 0:
-            raise ValueError(f"coeff must not be negative, got {coeff}.")
-        if not std > 0:
-            raise ValueError(f"std must be positive, got {std}.")
+        if not 0 <= coeff < math.inf:
+            raise ValueError(f"coeff must be finite and not negative, got {coeff}.")
+        if not 0 < std < math.inf:
+            raise ValueError(f"std must be finite and positive, got {std}.")
         if recurrent_keys(teacher):
             raise ValueError("teacher must be a policy without memory, got a recurrent one.")
+        if more := [key for key in teacher.in_keys if key != "observation"]:
+            raise ValueError(f"teacher must see the observation alone, this one sees {more[0]}.")
         self.actor_network, self.in_keys = actor_network, list(actor_network.in_keys)
         self.weight = coeff / (2.0 * std**2)
         self._teacher: list[Any] = [teacher]  # in a list its weights are none of this module's

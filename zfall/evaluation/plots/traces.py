@@ -31,8 +31,10 @@ def trace_plot(
         axes.axvspan(*push, color="0.88", lw=0)
         lines = zip(traces.items(), itertools.cycle(LINES), strict=False)
         for (name, rows), (style, grey) in lines:
-            line = style.strip("osD^")
-            axes.plot(rows["time_s"], rows[key], line, color=grey, lw=1, label=name)
+            (line,) = axes.plot(
+                rows["time_s"], rows[key], style, color=grey, lw=1, markevery=5, ms=3
+            )
+            line.set_label(name)
         axes.set_ylabel(label, fontsize=8)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
