@@ -1,6 +1,7 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
 import inspect
+import math
 from typing import Any
 
 import torch
@@ -235,6 +236,12 @@ class Learner:
             if cfg.loss.kl_stop is not None and divergence > cfg.loss.kl_stop:
                 break
         means = {k: torch.stack([out[k] for out in outputs]).mean().item() for k in outputs[0]}
+        for key, value in means.items():
+            if key.startswith("loss_") and not math.isfinite(value):
+                raise ValueError(
+                    f"{key} must stay finite, got {value} in update {self.updates + 1}; "
+                    "checkpoints written before are sound."
+                )
         del means["kl_approx"]  # the same with more noise, TorchRL's
         means["passes"] = passes
         if self.scheduler is not None:

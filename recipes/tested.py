@@ -119,8 +119,8 @@ def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
         ValueError: if there is no such run, or its policy sees or does something else; ``key`` is
             where it is named.
     """
-    if not isinstance(run, str):
-        raise ValueError(f"{key} must be a run folder or a policy that ships, got {run}.")
+    if not (isinstance(run, str) and run):
+        raise ValueError(f"{key} must be a run folder or a policy that ships, got {run!r}.")
     path = checkpoint_of(run, key=key)
     content = checkpoint.load(path)
     cfg = OmegaConf.create(content["config"])

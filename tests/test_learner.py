@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import LossModule
@@ -170,6 +170,15 @@ def test_fixed_deviation_and_no_normaliser(compose_config):
     assert normalizer_of(learner.critic) is None
     std = learner.policy.get_dist(learner.carrier).variance.sqrt()
     assert_close(std, torch.full_like(std, 0.1))
+
+
+def test_a_loss_that_is_no_number_ends_the_training(compose_config):
+    """At once: the checkpoint before it stays the last."""
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=4"))
+    broken = torch.tensor(torch.nan, requires_grad=True)
+    learner.auxiliary = [lambda _: TensorDict({"loss_broken": 1.0 * broken})]
+    with pytest.raises(ValueError, match="loss_broken must stay finite, got nan in update 1"):
+        learner.learn(learner.collect())
 
 
 def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_config):

@@ -166,8 +166,9 @@ def test_a_smooth_policy_costs_nothing_and_has_a_finite_gradient():
 @pytest.mark.parametrize(
     ("values", "rule"),
     [
-        ({"temporal_coeff": -1.0}, r"temporal_coeff must not be negative, got -1.0"),
-        ({"sigma": -0.1}, r"sigma must not be negative, got -0.1"),
+        ({"spatial_coeff": math.nan}, r"spatial_coeff must be finite and not negative, got nan"),
+        ({"temporal_coeff": -1.0}, r"temporal_coeff must be finite and not negative, got -1.0"),
+        ({"sigma": -0.1}, r"sigma must be finite and not negative, got -0.1"),
         ({"sigma": {"nose": 0.1}}, r"sigma must name quantities of the observation \(gyro\)"),
         ({"spatial_norm": "l3"}, r"spatial_norm must be one of l1, l2, squared_l2, got 'l3'"),
     ],

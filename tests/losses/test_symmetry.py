@@ -179,5 +179,5 @@ def test_share_out_of_range(mirrors, share):
 
 
 def test_negative_weight(mirrors):
-    with pytest.raises(ValueError, match="coeff must not be negative, got -1"):
+    with pytest.raises(ValueError, match="coeff must be finite and not negative, got -1"):
         SymmetryLoss(linear_actor(torch.randn(JOINTS, OBSERVED)), mirrors, coeff=-1.0)

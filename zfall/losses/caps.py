@@ -1,5 +1,6 @@
 """Smoothness of a policy: conditioning for action policy smoothness (CAPS)."""
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -81,8 +82,8 @@ class CAPSLoss(LossModule):
         values = sigma.values() if isinstance(sigma, Mapping) else [sigma]
         weights = {"temporal_coeff": temporal_coeff, "spatial_coeff": spatial_coeff}
         for name, value in [*weights.items(), *(("sigma", value) for value in values)]:
-            if value < 0:
-                raise ValueError(f"{name} must not be negative, got {value}.")
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{name} must be finite and not negative, got {value}.")
         for name, norm in (("temporal_norm", temporal_norm), ("spatial_norm", spatial_norm)):
             if norm not in NORMS:
                 raise ValueError(f"{name} must be one of {', '.join(NORMS)}, got {norm!r}.")

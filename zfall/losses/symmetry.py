@@ -1,5 +1,6 @@
 """Left-right symmetry of a policy: as a loss, or by mirrored data."""
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -53,8 +54,8 @@ class SymmetryLoss(LossModule):
         coeff: float = 0.5,
     ):
         super().__init__()
-        if coeff < 0:
-            raise ValueError(f"coeff must not be negative, got {coeff}.")
+        if not 0 <= coeff < math.inf:
+            raise ValueError(f"coeff must be finite and not negative, got {coeff}.")
         self.actor_network, self.coeff = actor_network, coeff
         self.mirrors = nn.ModuleDict(mirrors)
         self.memories = memories([actor_network], mirrors)
