@@ -318,7 +318,7 @@ def _check_numbers(cfg: DictConfig) -> None:
     if cfg.optimizer is None:
         raise ValueError("optimizer must name one, {_target_: torch.optim.Adam, ...}, got None.")
     if "lr" in cfg.optimizer:
-        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x > 0, "be positive")
+        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
     for key in ("gamma", "lmbda"):
         check_number(cfg.loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
     check_number(cfg.loss.clip_epsilon, "loss.clip_epsilon", lambda x: x > 0, "be positive")

@@ -233,7 +233,7 @@ BAD = [
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must be positive, got abc"),
     (["optimizer=null"], "optimizer must name one"),
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
-    (["optimizer.lr=abc"], "optimizer.lr must be positive, got abc"),
+    (["optimizer.lr=abc"], "optimizer.lr must not be negative, got abc"),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
     (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
     (
