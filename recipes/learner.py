@@ -18,7 +18,7 @@ from torchrl.objectives.value import GAE
 
 from recipes.averaging import moving_average
 from recipes.digests import weights_digest
-from recipes.one_line import check_number, check_whole
+from recipes.ranges import check_ranges
 from recipes.tested import read_teacher
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
@@ -42,21 +42,9 @@ class Learner:
     """
 
     def __init__(self, cfg: DictConfig):
-        counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
-        check_whole(cfg, (*counts, "seed", "burn_in"))
-        for key in counts:
-            if cfg[key] < 1:
-                raise ValueError(f"{key} must be at least 1, got {cfg[key]}.")
+        check_ranges(cfg)
         if cfg.showcase:  # refused now rather than after the training
             load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
-        _check_numbers(cfg)
-        if not 0 <= cfg.burn_in < cfg.rollout_steps:
-            raise ValueError(f"burn_in must lie in [0, rollout_steps), got {cfg.burn_in}.")
-        if cfg.loss.normalize_advantage not in ("minibatch", "batch", None):
-            raise ValueError(
-                "loss.normalize_advantage must be minibatch, batch or null, "
-                f"got {cfg.loss.normalize_advantage}."
-            )
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)
@@ -308,22 +296,3 @@ class Learner:
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]
-
-
-def _check_numbers(cfg: DictConfig) -> None:
-    """Raises ``ValueError`` on a number out of its range, or something else in its place."""
-    check_number(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
-    check_number(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
-    check_number(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
-    if cfg.optimizer is None:
-        raise ValueError("optimizer must name one, {_target_: torch.optim.Adam, ...}, got None.")
-    if "lr" in cfg.optimizer:
-        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
-    for key in ("gamma", "lmbda"):
-        check_number(cfg.loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
-    check_number(cfg.loss.clip_epsilon, "loss.clip_epsilon", lambda x: x > 0, "be positive")
-    for key in ("critic_coeff", "entropy_coeff", "kl_coeff"):
-        check_number(cfg.loss[key], f"loss.{key}", lambda x: x >= 0, "not be negative")
-    for key in ("kl_stop", "kl_target", "value_clip", "value_error_clip"):
-        if cfg.loss[key] is not None:
-            check_number(cfg.loss[key], f"loss.{key}", lambda x: x > 0, "be positive or null")

@@ -1,16 +1,19 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
 import os
+import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+
+# Of another actor's key that was left over, for instance.
+_UNEXPECTED = re.compile(r"(.*) got an unexpected keyword argument '(\w+)'.*")
 
 
 def start(main: Callable[[], None]) -> None:
@@ -65,28 +68,6 @@ def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
             raise ValueError(f"{prefix}{key} is not a key of the config ({names}){hint}")
 
 
-def check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
-    """Refuses values that are not whole numbers.
-
-    Raises:
-        ValueError: naming the key.
-    """
-    for key in keys:
-        if type(cfg[key]) is not int:
-            raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
-
-
-def check_number(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:
-    """Refuses a value that is no number, or one that the rule does not hold for.
-
-    Raises:
-        ValueError: naming it.
-    """
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not (number and holds(value)):
-        raise ValueError(f"{name} must {rule}, got {value}.")
-
-
 def _innermost(error: BaseException) -> str:
     """Full key and reason of the error at the end of hydra's chain of causes."""
     keys = []
@@ -98,6 +79,12 @@ def _innermost(error: BaseException) -> str:
         error = error.__cause__
     place = ".".join(keys)
     reason = _flat(str(error).split("\nfull_key:")[0])
+    unknown = _UNEXPECTED.fullmatch(reason)
+    if unknown and place:
+        function, key = unknown.groups()
+        reason = (
+            f"{function} takes no {key}; if the config gives it, '~{place}.{key}' takes it out."
+        )
     return f"{place}: {reason}" if place else reason
 
 

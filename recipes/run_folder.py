@@ -123,17 +123,20 @@ class RunFolder:
             "best": self.best,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from a checkpoint: rows written after it are dropped.
+    def check_version(self, state: dict[str, Any]) -> None:
+        """Refuses a run of another version of this program.
 
         Raises:
-            ValueError: if another version of this program trained it.
+            ValueError: naming both.
         """
         if state.get("version") != VERSION:
             raise ValueError(
                 f"{self.folder} must be a run of version {VERSION} to go on with it, got "
                 f"{state.get('version')}; its policy can be read, its training begins anew."
             )
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from a checkpoint: rows written after it are dropped."""
         self.last, self.recent, self.best = state["last"], state["recent"], state["best"]
         for name in ("metrics.csv", "timing.csv"):
             path = self.folder / name

@@ -151,8 +151,21 @@ def check_same_interface(configs: dict[str, DictConfig]) -> None:
     for key in (*(f"transforms.{name}" for name in INTERFACE), "base_env.control_dt"):
         values = [OmegaConf.select(cfg.env, key) for cfg in configs.values()]
         if any(value != values[0] for value in values):
+            key, values = _where_they_differ(key, values)
             found = " and ".join(map(str, values))
             raise ValueError(f"{names} must have the same env.{key}, got {found}.")
+
+
+def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:
+    """The first key inside of configs that are not equal whose values differ, and these."""
+    while all(isinstance(value, DictConfig) for value in values):
+        inside = dict.fromkeys(str(name) for value in values for name in value)
+        for name in inside:
+            found = [value.get(name) for value in values]
+            if any(value != found[0] for value in found):
+                break
+        key, values = f"{key}.{name}", found
+    return key, values
 
 
 def checkpoint_of(

@@ -1,11 +1,13 @@
 """Trains a policy and shows what it can do: ``python -m recipes.train experiment=quickstart``."""
 
 import gc
+import math
 import signal
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -70,8 +72,12 @@ def main(cfg: DictConfig) -> None:
         else:
             robot = identity_of(learner.env.base_env.robot)
             checkpoint.check_fits(state, robot, learner.actor, folder)
-            run.load_state_dict(state["run"])
-            learner.load_state_dict(state)
+            if number_of_updates(learner) < state["updates"]:
+                raise ValueError(
+                    f"total_frames must not be less than the {state['frames']} that {folder} has "
+                    f"behind it, got {cfg.total_frames}."
+                )
+            go_on(learner, run, state)
     console = Console()
     if not train(learner, run, console):
         line = shell_line("train", f"resume={shown_path(folder)}")
@@ -91,12 +97,17 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     """
     learner, run = Learner(cfg), RunFolder(folder)
     if (folder / "checkpoints" / "last.pt").exists():
-        state = checkpoint.load(folder / "checkpoints" / "last.pt")
-        run.load_state_dict(state["run"])
-        learner.load_state_dict(state)
+        go_on(learner, run, checkpoint.load(folder / "checkpoints" / "last.pt"))
     elif cfg.warm_start is not None:
         warm_start(learner, cfg.warm_start)
     return train(learner, run, console)
+
+
+def go_on(learner: Learner, run: RunFolder, state: dict[str, Any]) -> None:
+    """Continues from a checkpoint; the files are touched last, when nothing more can be refused."""
+    run.check_version(state["run"])
+    learner.load_state_dict(state)
+    run.load_state_dict(state["run"])
 
 
 def try_one_step(env_cfg: DictConfig) -> None:
@@ -124,6 +135,11 @@ def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictC
     return cfg
 
 
+def number_of_updates(learner: Learner) -> int:
+    """Updates until ``total_frames``, at least one."""
+    return max(1, math.ceil(learner.cfg.total_frames / learner.frames_per_batch))
+
+
 def train(learner: Learner, run: RunFolder, console: Console) -> bool:
     """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
     stop: list[int] = []  # the first ctrl-c lets the update end, so that it can be resumed exactly
@@ -132,7 +148,7 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
         lambda number, _: stop.append(number) or signal.signal(number, previous),  # type: ignore[func-returns-value]
     )
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
-    total = max(1, -(-int(cfg.total_frames) // learner.frames_per_batch))
+    total = number_of_updates(learner)
     with progress_bar(console) as bar, garbage_collector_of_new_things():
         task = bar.add_task("train", total=total, completed=learner.updates, note="")
         while learner.updates < total:

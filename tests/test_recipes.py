@@ -276,6 +276,10 @@ BAD = [
     (["loss.kl_target=0.01"], "kl_target must be positive and go with a positive kl_coeff"),
     (["actor.activation=gelu"], "activation must be one of elu, relu, tanh, got 'gelu'"),
     (["actor=mlp_mog", "+actor.learn_std=false"], "learn_std must be true with components"),
+    (
+        ["experiment=atalante_standing_laptop", "actor=gru_gaussian"],
+        "actor: make_head() takes no num_cells; if the config gives it, '~actor.num_cells' takes",
+    ),
     (["resume=nowhere"], "there is no such file"),
     (["hydra.run.dir=/proc/zfall"], "/proc/zfall"),
 ]
@@ -321,6 +325,14 @@ def test_a_run_survives_being_resumed_into_its_own_folder(where, tmp_path):
     assert done.returncode == 0, done.stderr
     assert (folder / ".hydra" / "config.yaml").read_text() == config
     assert pd.read_csv(folder / "metrics.csv")["frames"].tolist() == [32, 64, 96]
+
+
+def test_a_run_is_not_resumed_to_end_before_its_end(trained):
+    before = (trained / "metrics.csv").read_text()
+    done = run("train", f"resume={trained}", "total_frames=32")
+    assert done.returncode != 0
+    assert "total_frames must not be less than the 64 that" in done.stderr
+    assert (trained / "metrics.csv").read_text() == before
 
 
 def test_resuming_leaves_other_folders_alone(trained, tmp_path):
