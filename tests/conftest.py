@@ -11,6 +11,7 @@ import torch
 from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
 
+from tests.shell import SHOW, TINY, run
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 
@@ -64,3 +65,13 @@ def make_task(make_base: Callable[..., HumanoidEnv]) -> Callable[..., Transforme
         return make_env(base, built)
 
     return build
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of two updates with its showcase."""
+    folder = tmp_path_factory.mktemp("run")
+    done = run("train", *TINY[:-1], *SHOW, f"hydra.run.dir={folder}")
+    assert done.returncode == 0, done.stderr
+    assert "pose_hold" in done.stdout
+    return folder

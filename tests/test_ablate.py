@@ -18,7 +18,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from recipes import study_plan, study_runs
 from recipes.study_plan import Run, battery_of, in_test, plan
-from tests.test_recipes import run
+from tests.shell import run
 from zfall.evaluation.battery import battery_env
 
 STUDY = """
@@ -35,8 +35,6 @@ OTHER = (
     .replace("none: []", "plain: []")
     .replace(", mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]", "")
 )
-
-
 KNEELING = """
 name: falls
 base: [num_envs=16, rollout_steps=4]

@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from torchrl.envs.utils import check_env_specs
 
 from recipes import bench, peers
-from tests.test_recipes import run
+from tests.shell import run
 from zfall.envs.robots import ZEROTH01
 
 TINY = ["num_envs=8", "rollout_steps=4", "seconds=0.1"]

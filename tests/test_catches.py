@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 from recipes import catches
 from recipes.catches import Falls, Landing, caught, search
-from tests.test_recipes import run
+from tests.shell import run
 from zfall.envs.catches import catches_path, load_catches
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.robots import ZEROTH01

@@ -13,7 +13,7 @@ from torchrl.data import Composite, Unbounded
 from recipes.export import describe, export
 from recipes.export_planar import OnnxPolicy, agreement, run_exported
 from recipes.tested import load_run
-from tests.test_recipes import TINY, run
+from tests.shell import TINY, run
 from zfall.evaluation.battery import battery_env, run_battery
 from zfall.evaluation.definitions import load_battery
 from zfall.modules.actors import gru_actor

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.test_recipes import run
+from tests.shell import run
 from zfall.envs.robots import ZEROTH01
 
 FORCE = 1.5 * ZEROTH01.impulse_unit / 0.1  # [N]

@@ -7,7 +7,7 @@ import torch
 from rich.console import Console
 
 from recipes.play import walk
-from tests.test_recipes import TINY, run
+from tests.shell import TINY, run
 from zfall.envs.make import make_env
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import ScriptedStart

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 from recipes.learner import Learner
 from recipes.tested import load_run
 from recipes.warm_start import warm_start
-from tests.test_recipes import TINY, run
+from tests.shell import TINY, run
 from zfall import checkpoint
 
 

@@ -13,7 +13,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from recipes.export import export
-from tests.test_recipes import run
+from tests.shell import run
 from zfall.modules.actors import gru_actor, mlp_actor
 from zfall.modules.deployed import deployed, zero_memory
 

@@ -1,0 +1,212 @@
+"""Batteries from the shell: their files, what is kept and what is refused."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from tests.shell import SMALL, run
+
+SMALL_SETTING = "planar_point-pelvis_directions-2_impulses-0.2_starts-1_end_time-4.0"
+
+
+def test_battery_of_a_run_and_of_a_baseline(trained, tmp_path):
+    done = run("evaluate", f"run={trained}", "battery=planar", *SMALL, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    folder = trained / "evaluation" / SMALL_SETTING
+    summary = json.loads((folder / "summary.json").read_text())
+    assert {"battery_version", "n", "i50_mean", "i50_min", "i90_mean", "i50", "success", "success_low",
+            "success_high", "control_falls", "control_n"} <= set(summary)  # fmt: skip
+    trials = pd.read_csv(folder / "trials.csv")
+    assert len(trials) == summary["n"] == 4
+    assert {"direction_rad", "impulse", "duration_s", "force_n", "body", "seed", "recovered", "fell",
+            "kneeled", "time_to_fall_s", "peak_base_acceleration",
+            "peak_contact_force"} <= set(trials.columns)  # fmt: skip
+    assert (folder / "success_map.png").exists()
+
+
+@pytest.mark.parametrize("name", ["pose_hold", "limp"])
+def test_battery_of_a_baseline_goes_into_hydras_folder(name, tmp_path):
+    done = run("evaluate", f"run={name}", *SMALL, "num_envs=64", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "evaluation" / SMALL_SETTING / "summary.json").read_text())
+    assert summary["control_falls"] == (2 if name == "limp" else 0)
+    assert summary["definition"]["starts"] == 1
+
+
+@pytest.mark.parametrize("given", [[], ["run=nowhere"]])
+def test_an_evaluation_of_nothing_says_what_there_is(given):
+    done = run("evaluate", *given)
+    assert done.returncode == 1
+    assert "run must be a run folder, or" in done.stderr
+    assert "pose_hold" in done.stderr
+
+
+def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, monkeypatch):
+    """Cut off after the first of two chunks; the rest is run, and the file is the same."""
+    import recipes.evaluate as recipe
+
+    args = [f"run={trained}", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
+            "end_time=3.6", "num_envs=64"]  # fmt: skip
+    setting = "planar_point-chest_directions-3_impulses-0.1,0.3_starts-10_end_time-3.6"
+    folder = trained / "evaluation" / setting
+    assert run("evaluate", *args).returncode == 0
+    whole = (folder / "trials.csv").read_bytes()
+    write = recipe.write_trials
+
+    def cut_off(path, trials, asked):
+        write(path, trials, asked)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recipe, "write_trials", cut_off)
+    stopped = run("evaluate", *args)
+    assert (stopped.returncode, stopped.stderr) == (130, "stopped\n")
+    monkeypatch.setattr(recipe, "write_trials", write)
+    assert len(pd.read_csv(folder / "trials.partial.csv")) == 64
+    done = run("evaluate", *args)
+    assert "goes on after 64 trials" in done.stdout.replace("\n", " ")
+    assert (folder / "trials.csv").read_bytes() == whole
+    assert not (folder / "trials.partial.csv").exists()
+
+
+def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
+    more = [*SMALL, "num_envs=64", f"hydra.run.dir={tmp_path}"]
+    done = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "comparison" / SMALL_SETTING
+    table = pd.read_csv(folder / "comparison.csv").set_index("run")
+    assert table.loc[str(trained), "difference"] == 0.0
+    assert table.loc["limp", "success"] == 0.0
+    assert table.loc["limp", "control_falls"] == 2
+    assert (folder / "overlay.png").exists()
+    assert (folder / "overlay.pdf").exists()
+    again = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)
+    assert again.stdout.count("read from") == 3
+    assert pd.read_csv(folder / "comparison.csv").set_index("run").equals(table)
+
+
+def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
+    assert run("evaluate", f"run={trained}", *SMALL, "num_envs=64").returncode == 0
+    trials = pd.read_csv(trained / "evaluation" / SMALL_SETTING / "trials.csv")
+    done = run("evaluate", f"run={trained}", *SMALL, "trial=3")
+    assert done.returncode == 0, done.stderr
+    for key in ("peak_tilt", "joint_torque_rms", "recovered", "displacement"):
+        value = trials[key][3]
+        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+        assert f"{key}: {shown}" in done.stdout
+    folder = trained / "evaluation" / SMALL_SETTING
+    traces = pd.read_csv(folder / "trial_3.csv")
+    assert len(traces) == 100  # 4 s
+    assert traces["target/left_knee_pitch"].iloc[0] != 0.0
+    assert (folder / "trial_3_left_hip_pitch.png").exists()
+    bad = run("evaluate", f"run={trained}", *SMALL, "trial=3", "joint=left_wing")
+    assert "joint must be one of right_hip_yaw" in bad.stderr
+    bad = run("evaluate", f"run={trained}", *SMALL, "trial=999")
+    assert bad.returncode != 0
+    assert "trial must be one of 0 to 3, got 999" in bad.stderr
+
+
+def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
+    assert run("evaluate", f"run={trained}", *SMALL).returncode == 0
+    path = trained / "evaluation" / SMALL_SETTING / "trials.csv"
+    before = path.read_bytes()
+    for more in ("keep=[noise]", "seed=7", 'change=["transforms.action.scale=0.3"]'):
+        assert run("evaluate", f"run={trained}", *SMALL, more).returncode == 0
+        assert path.read_bytes() == before
+    names = {path.name for path in (trained / "evaluation").glob(f"{SMALL_SETTING}_*")}
+    assert {f"{SMALL_SETTING}_keep-noise", f"{SMALL_SETTING}_seed-7"} <= names
+    assert any(
+        "Battery " + name.replace("_", " ") in (trained / "report.html").read_text()
+        for name in names
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["runs=best"], "error: runs must be a list, [best], got best."),
+        (["run=best", "video=true"], "error: video needs a trial"),
+        (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
+        (["run=best", "starts=abc"], "error: starts must be a whole number, got abc."),
+        (["run=best", "impulses=0.4"], "error: impulses must be a list of numbers"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused_in_one_line(given, message):
+    done = run("evaluate", *given)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_run_and_runs_exclude_each_other(trained):
+    done = run("evaluate", f"run={trained}", f"runs=[{trained}]")
+    assert "runs a list of them; got both" in done.stderr
+
+
+def test_envelope_of_a_run_beside_the_held_pose(trained):
+    more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
+    done = run("evaluate", f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=4.0")
+    assert done.returncode == 0, done.stderr
+    folder = (
+        trained
+        / "evaluation"
+        / "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-4.0"
+    )
+    table = pd.read_csv(folder / "envelope.csv")
+    assert len(table) == 2
+    assert table["largest"].isin([0.0, 0.4, 0.8]).all()
+    for name in ("trials.csv", "summary.json", "envelope.png", "envelope.pdf"):
+        assert (folder / name).exists(), name
+    assert not (folder / "rounds").exists()
+    bad = run("evaluate", f"runs=[{trained},pose_hold]", "battery=envelope")
+    assert "runs needs a battery whose trials are the same" in bad.stderr
+
+
+def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypatch):
+    import recipes.evaluate as recipe
+
+    more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
+    args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=3.6"]
+    folder = (
+        trained
+        / "evaluation"
+        / "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-3.6"
+    )
+    assert run("evaluate", *args).returncode == 0
+    whole = (folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()
+    real, labels = recipe.run_battery, []
+
+    def counted(*given, **known):
+        labels.append(len(labels))
+        if len(labels) == 3:
+            raise KeyboardInterrupt
+        return real(*given, **known)
+
+    monkeypatch.setattr(recipe, "run_battery", counted)
+    stopped = run("evaluate", *args)
+    assert (stopped.returncode, stopped.stderr) == (130, "stopped\n")
+    assert len(list((folder / "rounds").glob("*.csv"))) == 2
+    assert run("evaluate", *args).returncode == 0
+    assert len(labels) == 3 + 6 - 2  # two policies, a control arm and two rounds each
+    assert ((folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()) == whole
+
+
+@pytest.mark.parametrize(
+    ("battery", "files"),
+    [
+        (["battery=spherical", "point=[torso,pelvis]", "impulses=[0.1]", "duration=[0.1,0.2]", "starts=1",
+          "end_time=3.0"], ["withstood.png", "withstood.pdf", "withstood.md"]),
+        (["battery=kneel", "impulses=[1.0]", "directions=2", "starts=1", "force_starts=1",
+          "end_time=1.5"], ["outcomes.md", "outcomes.csv"]),
+    ],
+)  # fmt: skip
+def test_other_batteries_write_their_files(trained, battery, files):
+    done = run("evaluate", f"run={trained}", *battery, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    (folder,) = (trained / "evaluation").glob(f"{battery[0].removeprefix('battery=')}_*")
+    for name in ["trials.csv", "summary.json", *files]:
+        assert (folder / name).exists(), name
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["control_falls"] == 0
+    page = (trained / "report.html").read_text()
+    assert f"Battery {folder.name.replace('_', ' ')}" in page

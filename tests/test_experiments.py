@@ -1,0 +1,44 @@
+"""The papers' experiments: they learn, and a laptop gets the same task."""
+
+import pandas as pd
+import pytest
+
+from tests.shell import TINY, run
+
+PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
+
+
+@pytest.mark.parametrize(
+    "name", [*(name + end for name in PAPERS for end in ("", "_laptop")), "best_gru"]
+)
+def test_every_experiment_learns(name, tmp_path):
+    """Its networks, loss and optimizer, on a small batch."""
+    done = run("train", f"experiment={name}", *TINY, f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(tmp_path / "metrics.csv")
+    assert metrics["frames"].tolist() == [32, 64]
+    assert metrics.filter(regex="^loss/").notna().all(axis=None)
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_a_laptop_gets_the_same_task(name, compose_config):
+    """Of the task only the physics' time step may differ."""
+    paper, laptop = (
+        compose_config(f"experiment={name}{end}", "num_envs=4").env for end in ("", "_laptop")
+    )
+    laptop.base_env.physics_dt = paper.base_env.physics_dt
+    assert laptop == paper
+
+
+def test_batches_are_those_that_were_published(compose_config):
+    """Steps per update, steps or sequences per minibatch."""
+    sizes = {}
+    for name in PAPERS:
+        cfg = compose_config(f"experiment={name}")
+        sizes[name] = cfg.num_envs * cfg.rollout_steps, cfg
+    batch, cfg = sizes["icub_balance"]
+    assert batch == pytest.approx(10_000, rel=0.01)
+    assert batch / cfg.minibatches == pytest.approx(512, rel=0.03)
+    batch, cfg = sizes["zeroth_fall"]
+    assert cfg.num_envs / cfg.minibatches == 64
+    assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at its 50 Hz

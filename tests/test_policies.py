@@ -1,0 +1,32 @@
+"""The policies that ship."""
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.modules.utils import get_primers_from_module
+
+from recipes.tested import POLICIES, load_run
+from zfall import checkpoint
+from zfall.modules.actors import recurrent_keys
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in POLICIES.glob("*.pt")))
+def test_a_policy_that_ships_stands_for_a_second(name):
+    """In its own world without noise, pushes and delays, from its starts."""
+    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), name)
+    env = instantiate(env_cfg, base_env={"num_envs": 4}, training=False)
+    if recurrent_keys(actor):
+        env.append_transform(get_primers_from_module(actor))
+    env.set_seed(0)
+    steps = round(1.0 / env.base_env.control_dt)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        rollout = env.rollout(steps, actor, break_when_any_done=False)
+    assert not rollout["next", "terminated"].any()
+
+
+def test_best_gru_is_configured_as_it_was_trained(compose_config):
+    content = checkpoint.load(POLICIES / "best_gru.pt")
+    cfg = compose_config("experiment=best_gru", "showcase=null")
+    assert OmegaConf.create(content["config"]) == cfg

@@ -1,0 +1,44 @@
+"""Two policies that are switched by the mode."""
+
+from omegaconf import OmegaConf
+
+from tests.shell import run
+from zfall import checkpoint
+
+
+def test_two_policies_are_switched_by_the_mode(tmp_path):
+    common = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
+    for name in ("recover", "kneel"):
+        done = run(
+            "train", f"experiment=push_to_kneel_{name}", *common, f"hydra.run.dir={tmp_path}/{name}"
+        )
+        assert done.returncode == 0, done.stderr
+    both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
+    change = 'change=["transforms.mode.probability=0.9"]'
+    done = run("switch", *both, change, f"hydra.run.dir={tmp_path}/both")
+    assert done.returncode == 0, done.stderr
+    config = checkpoint.load(tmp_path / "both" / "checkpoints" / "last.pt")["config"]
+    assert OmegaConf.create(config).env.transforms.mode.probability == 0.9
+    kneel = ["battery=kneel", "impulses=[1.0]", "directions=2", "starts=1", "force_starts=1"]
+    done = run(
+        "evaluate",
+        f"run={tmp_path}/both",
+        *kneel,
+        "end_time=1.5",
+        'change=["transforms.mode.angle=0.3"]',
+    )
+    assert done.returncode == 0, done.stderr
+    done = run("switch", both[0], "kneel=script", f"hydra.run.dir={tmp_path}/script")
+    assert done.returncode == 0, done.stderr
+    config = checkpoint.load(tmp_path / "script" / "checkpoints" / "last.pt")["config"]
+    assert OmegaConf.create(config).env.transforms.mode.hold == 0.2  # not the 100 s of its phase A
+    done = run("evaluate", f"run={tmp_path}/script", *kneel, "end_time=1.5")
+    assert done.returncode == 0, done.stderr
+    keys = "env.transforms.observation.keys=[projected_gravity,joint_position,joint_velocity]"
+    own = [keys, *common, f"hydra.run.dir={tmp_path}/other"]
+    other = run("train", "experiment=push_to_kneel_kneel", *own)
+    assert other.returncode == 0, other.stderr
+    bad = run("switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
+    assert "must have the same env.transforms.observation" in bad.stderr
+    bad = run("switch", "recover=best", "kneel=best", f"hydra.run.dir={tmp_path}/bad")
+    assert "kneel must be a policy that kneels, trained with modes; best is not" in bad.stderr

@@ -1,0 +1,93 @@
+"""Which policies and baselines are tested, and in which world."""
+
+import json
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from recipes.tested import held, keep
+from tests.shell import SMALL, TINY, run
+from zfall import checkpoint
+from zfall.envs.make import left_out
+from zfall.envs.robots import ZEROTH01
+from zfall.evaluation.battery import run_battery
+from zfall.evaluation.definitions import load_battery
+
+
+def test_checkpoint_of_another_robot_is_refused(trained, tmp_path):
+    content = checkpoint.load(trained / "checkpoints" / "last.pt")
+    content.pop("format")
+    (tmp_path / "checkpoints").mkdir()
+    checkpoint.save(tmp_path / "checkpoints" / "last.pt", content | {"robot": "other"})
+    done = run("evaluate", f"run={tmp_path}")
+    assert done.returncode != 0
+    assert "must be of the robot zeroth01 " in done.stderr
+    assert "it is of other" in done.stderr
+
+
+def test_run_without_a_checkpoint_is_refused(tmp_path):
+    done = run("evaluate", f"run={tmp_path}")
+    assert done.returncode != 0
+    assert "there is no such file" in done.stderr
+
+
+def test_an_evaluation_keeps_on_what_it_is_told_to(compose_config):
+    cfg = compose_config("num_envs=2").env
+    assert {"noise", "delay"} <= set(left_out(cfg.training_only))
+    assert {"noise", "delay"}.isdisjoint(left_out(keep(cfg, ["noise", "delay"]).training_only))
+    with pytest.raises(ValueError, match=r"keep must name what evaluation leaves out .*got action"):
+        keep(cfg, ["action"])
+
+
+def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
+    done = run("evaluate", f"run={trained}", *SMALL, 'change=["transforms.action.scale=0.3"]')
+    assert done.returncode == 0, done.stderr
+    bad = run("evaluate", f"run={trained}", *SMALL, 'change=["transforms.action.skale=0.3"]')
+    assert "change must name a value of the env, there is no transforms.action.skale" in bad.stderr
+
+
+def test_a_scripted_kneel_needs_modes(tmp_path):
+    kneel = ["battery=kneel", "impulses=[1.0]", "directions=1", "starts=1", "force_starts=1"]
+    own = [*kneel, f"hydra.run.dir={tmp_path}"]
+    done = run("evaluate", "run=scripted_kneel", *own, "end_time=1.5")
+    assert done.returncode == 0, done.stderr
+    setting = "kneel_directions-1_impulses-1.0_starts-1_force_starts-1_end_time-1.5"
+    path = tmp_path / "evaluation" / setting / "trials.csv"
+    script = pd.read_csv(path)
+    held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")
+    assert held.returncode == 0, held.stderr
+    assert not pd.read_csv(path).equals(script)  # keeps to the stand
+    null = 'change=["transforms.kneel_reference=null"]'
+    assert run("evaluate", "run=scripted_kneel", *own, null).returncode != 0
+    bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
+    assert "scripted_kneel needs an env with modes" in bad.stderr
+
+
+def test_baselines_beside_a_policy_meet_its_world(tmp_path):
+    tiny = [*TINY, "env.base_env.physics_dt=0.008"]
+    assert run("train", *tiny, f"hydra.run.dir={tmp_path}/one").returncode == 0
+    runs = [f"runs=[{tmp_path}/one,pose_hold]", f"hydra.run.dir={tmp_path}/both"]
+    done = run("evaluate", *runs, "battery=planar", *SMALL, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    (asked,) = (tmp_path / "both" / "pose_hold").glob("evaluation/*/trials.json")
+    assert OmegaConf.create(json.loads(asked.read_text())["env"]).base_env.physics_dt == 0.008
+
+
+def test_a_baseline_in_an_env_with_modes_holds_its_pose(compose_config):
+    """Without an action its reference would go down as soon as the machine says KNEEL."""
+    cfg = compose_config("env=push_to_kneel", "num_envs=2").env
+    battery = load_battery("planar", impulses=[1.0], starts=1, directions=2, end_time=1.0)
+    battery = replace(battery, push_time=0.2)
+
+    def moved(world):
+        targets = []
+        run_battery(
+            battery, world, None, watch=lambda env, td: targets.append(td["target"].clone())
+        )
+        return (torch.stack(targets) - torch.tensor(ZEROTH01.stand_position)).abs().max()
+
+    assert moved(held(cfg)) < 1e-6
+    assert moved(cfg) > 0.5

@@ -1,0 +1,151 @@
+"""Training from the shell: its files, and bad input in one line."""
+
+import gc
+import re
+from datetime import datetime, timedelta
+
+import pandas as pd
+import pytest
+from omegaconf import OmegaConf
+
+from recipes.train import garbage_collector_of_new_things
+from tests.shell import ROOT, TINY, run
+
+
+def test_runs_started_together_have_folders_of_their_own():
+    """A shell starts several within one second; in one folder they would overwrite each other."""
+    texts = [recipe.read_text() for recipe in (ROOT / "recipes").glob("*.yaml")]
+    formats = [item for text in texts for item in re.findall(r"\$\{now:([^}]*)\}", text)]
+    assert len(formats) >= 8
+    one = datetime(2026, 1, 1, 12)
+    for item in formats:
+        assert one.strftime(item) != (one + timedelta(milliseconds=1)).strftime(item)
+
+
+def test_training_leaves_the_files_of_a_run(trained):
+    for name in ("metrics.csv", "timing.csv", "summary.json", ".hydra/config.yaml",
+                 "checkpoints/last.pt", "checkpoints/best.pt", "plots/planar.png",
+                 "plots/learning_curves.png", "tensorboard"):  # fmt: skip
+        assert (trained / name).exists(), name
+    metrics = pd.read_csv(trained / "metrics.csv")
+    assert metrics["frames"].tolist() == [32, 64]
+    expected = {"episode_return", "episode_seconds", "kl", "reward/upright", "loss/objective"}
+    assert expected <= set(metrics.columns)
+    assert not [column for column in metrics if "_s" in column[-3:] and column != "episode_seconds"]
+
+
+@pytest.mark.parametrize("actor", ["mlp_mog", "gru_mog"])
+def test_every_actor_trains(actor, tmp_path):
+    done = run("train", *TINY, f"actor={actor}", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+
+
+def row(td, next_td):
+    """A reward term without its last dimension."""
+    return next_td["done"][:, 0].float()
+
+
+BAD = [
+    (["num_envs=0"], "num_envs must be at least 1, got 0"),
+    (["num_envs=-4"], "num_envs must be at least 1, got -4"),
+    (["num_envs=abc"], "num_envs must be a whole number, got abc"),
+    (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
+    (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
+    (["loss.clip_epsilon=abc"], "loss.clip_epsilon must be positive, got abc"),
+    (["optimizer=null"], "optimizer must name one"),
+    (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
+    (["optimizer.lr=abc"], "optimizer.lr must not be negative, got abc"),
+    (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
+    (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
+    (
+        ["env.transforms.reward.terms.posture.0=x"],
+        "terms.posture must have a number as its weight, got x",
+    ),
+    (
+        ["+env.transforms.push.siez=[0.1,0.2]"],
+        "env: transforms.push.siez is not a parameter of RandomPush (env, point, ",
+    ),
+    (
+        ["warm_start=pose_hold"],
+        "warm_start must be a run folder, or one of atalante, best, best_gru, kneel, zeroth_fall; there",
+    ),
+    (
+        ["+env.transforms.reward.terms.mine=[0.1,{_target_:tests.test_train.row,_partial_:true}]"],
+        "terms.mine must return (2, 1), one number per world, got (2,)",
+    ),
+    (["total_frames=many"], "total_frames must be a positive number, got many"),
+    (
+        [
+            "+env.transforms.reward.terms.knee="
+            "[0.1,{_target_:zfall.envs.terms.posture.reference_posture,_partial_:true}]"
+        ],
+        "env.transforms.reward: reference_posture must be given sigma, which has no default",
+    ),
+    (["env.base_env.control_dt=0.03"], "control_dt must be a multiple of physics_dt"),
+    (["env.transforms.delay.delay=[0,0.5]"], "env.transforms.delay: delay must be"),
+    (["env.transforms.push.point=tail"], "env.transforms.push: point must be a push point"),
+    (["+env.transforms.push.impulze=1"], "impulze"),
+    (["numenvs=3"], "numenvs"),
+    (["+epoch=3"], "epoch is not a key of the config"),
+    (["actor=mlp_transformer"], "mlp_transformer"),
+    (["+loss.clip_eps=0.3"], "loss.clip_eps is not a key of the config"),
+    (["showcase={foo: 1}"], "showcase.foo is not a key of the config"),
+    (["rollout_steps=0"], "rollout_steps must be at least 1, got 0"),
+    (["showcase={starts: 0, sizes: [0.4], video: false}"], "starts must be at least 1, got 0"),
+    (["loss.kl_target=0.01"], "kl_target must be positive and go with a positive kl_coeff"),
+    (["actor.activation=gelu"], "activation must be one of elu, relu, tanh, got 'gelu'"),
+    (["actor=mlp_mog", "+actor.learn_std=false"], "learn_std must be true with components"),
+    (
+        ["experiment=atalante_standing_laptop", "actor=gru_gaussian"],
+        "actor: make_head() takes no num_cells; if the config gives it, '~actor.num_cells' takes",
+    ),
+    (["resume=nowhere"], "there is no such file"),
+    (["hydra.run.dir=/proc/zfall"], "/proc/zfall"),
+]
+
+
+@pytest.mark.parametrize(("overrides", "message"), BAD, ids=[" ".join(o) for o, _ in BAD])
+def test_bad_input_ends_before_the_first_step_with_a_clear_line(overrides, message, tmp_path):
+    folder = [] if "hydra.run.dir" in overrides[0] else [f"hydra.run.dir={tmp_path}"]
+    done = run("train", *TINY, *folder, *overrides)
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    lines = [
+        line for line in done.stderr.splitlines() if "Warning" not in line and "warn" not in line
+    ]
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    assert not tmp_path.exists() or not any(tmp_path.iterdir())  # nothing is left behind
+
+
+def test_a_folder_that_holds_a_run_is_not_trained_into(trained):
+    names = ("metrics.csv", ".hydra/config.yaml", ".hydra/overrides.yaml")
+    before = [(trained / name).read_text() for name in names]
+    done = run("train", *TINY, "seed=5", f"hydra.run.dir={trained}")
+    assert done.returncode != 0
+    assert f"hydra.run.dir must be a folder without a run, {trained} holds one" in done.stderr
+    assert [(trained / name).read_text() for name in names] == before
+
+
+def test_a_sweep_trains_each_value_in_a_folder_of_its_own(tmp_path, monkeypatch):
+    """The folder of all is made before there is a config of any job."""
+    monkeypatch.chdir(tmp_path)
+    done = run("train", "-m", *TINY, "seed=0,1")
+    assert done.returncode == 0, done.stderr
+    folders = sorted((tmp_path / "runs" / "sweeps").glob("*/*/checkpoints/last.pt"))
+    configs = [OmegaConf.load(path.parents[1] / ".hydra" / "config.yaml") for path in folders]
+    assert [config.seed for config in configs] == [0, 1]
+
+
+def test_the_garbage_collector_spares_what_was_there_and_takes_it_back():
+    def fail_amid_it():
+        with garbage_collector_of_new_things():
+            spared.append(gc.get_freeze_count())
+            raise InterruptedError
+
+    spared: list[int] = []
+    with pytest.raises(InterruptedError):
+        fail_amid_it()
+    assert spared[0] > 10_000  # all of torch, for one
+    assert gc.get_freeze_count() == 0
