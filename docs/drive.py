@@ -1,4 +1,4 @@
-"""Drives the robot with an exported policy: python docs/drive.py policy.onnx policy.json"""
+"""Drives the robot with an exported policy: python docs/drive.py policy.onnx policy.json [newtons]"""
 
 import json
 import sys
@@ -10,7 +10,8 @@ import onnxruntime
 
 policy = onnxruntime.InferenceSession(sys.argv[1])
 about = json.loads(Path(sys.argv[2]).read_text())
-seconds, push = 10.0, np.array([0.0, 20.0, 0.0])  # for 0.1 s after 3 s [N], on the torso
+newtons = float(sys.argv[3]) if len(sys.argv) > 3 else 20.0
+seconds, push = 10.0, np.array([0.0, newtons, 0.0])  # for 0.1 s after 3 s [N], on the torso
 mjcf = Path(__file__).parents[1] / "zfall/envs/assets/zeroth01.xml"
 model = mujoco.MjModel.from_xml_path(about.get("mjcf", str(mjcf)))
 model.opt.timestep = about["physics_dt_s"]
@@ -30,6 +31,8 @@ def read(name: str) -> np.ndarray:
         sys.exit(f"{name} is a mean over the control step, which this does not take")
     feet = [data.sensor(f"feet_contact/{foot}").data for foot in ("left", "right")]
     own = {
+        "imu_orientation": data.qpos[3:7] * (1.0 if data.qpos[3] >= 0 else -1.0),
+        "command": np.zeros(6),
         "projected_gravity": -data.xmat[1].reshape(3, 3)[2],
         "base_linear_velocity": data.qvel[:3],
         "base_angular_velocity": data.qvel[3:6],
@@ -39,7 +42,7 @@ def read(name: str) -> np.ndarray:
         "feet_contact": np.array([foot[0] > 0 for foot in feet]),
         "feet_force": -np.concatenate([foot[1:4] for foot in feet]),
     }
-    return own[name] if name in own else data.sensor(name).data
+    return own[name].reshape(-1) if name in own else data.sensor(name).data
 
 
 substeps = round(about["control_dt_s"] / about["physics_dt_s"])

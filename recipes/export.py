@@ -35,6 +35,7 @@ UNITS = {
     "last_action": "1", "projected_gravity": "1, base axes", "base_orientation": "1, w x y z",
     "base_angular_velocity": "rad/s, base axes", "base_linear_velocity": "m/s, world axes",
     "base_position": "m", "com_velocity": "m/s, world axes", "feet_force": "N, world axes",
+    "imu_orientation": "1, w x y z, w >= 0", "command": "m/s, m/s, rad, m, rad, rad",
     "feet_contact": "0 or 1", "mode": "0 or 1: recover, kneel, stable",
 }  # fmt: skip
 

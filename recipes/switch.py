@@ -47,6 +47,7 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
     check_same_interface(configs)
     env_cfg = compose("train", overrides=["env=push_to_kneel", "num_envs=1"]).env
+    OmegaConf.set_struct(env_cfg, False)  # changes may bring keys that it does not name
     last = configs[names[-1]].env
     env_cfg.base_env = last.base_env
     if "kneel" in names and last.transforms.get("mode") is None:

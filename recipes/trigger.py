@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
@@ -65,7 +65,9 @@ def main(cfg: DictConfig) -> None:
         }
         check_keys(cfg, known | {"hidden_size", "impulses"})
         env_cfg, actor = load_run(cfg, cfg.run)
-        env_cfg = keep(env_cfg, cfg.keep)
+        there = OmegaConf.select(env_cfg, "training_only", default={})
+        kept = [name for name in ("noise", "delay") if name in there]
+        env_cfg = keep(env_cfg, kept if cfg.keep is None else cfg.keep)
     torch.manual_seed(cfg.seed)
     with console.status("pushed trials"):
         history, control_dt = record(env_cfg, actor, cfg)

@@ -90,13 +90,14 @@ def test_a_run_is_exported_with_what_its_numbers_mean(tmp_path):
     assert about["observation"][-1]["to"] == about["observation_size"]
 
 
-def test_the_script_drives_the_robot_through_its_push(tmp_path):
-    """Pushed by 20 N after 3 s the policy that ships still stands after 10 s, by MuJoCo alone."""
+@pytest.mark.parametrize(("name", "newtons"), [("best", 20), ("best_gru", 20), ("zeroth_fall", 10)])
+def test_the_script_drives_the_robot_through_its_push(name, newtons, tmp_path):
+    """Pushed after 3 s a policy that ships still stands after 10 s, by MuJoCo alone."""
     pytest.importorskip("onnxruntime")
-    done = run("export", "run=best", f"hydra.run.dir={tmp_path}")
+    done = run("export", f"run={name}", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     files = [f"{tmp_path}/policy.onnx", f"{tmp_path}/policy.json"]
-    command = [sys.executable, "docs/drive.py", *files]
+    command = [sys.executable, "docs/drive.py", *files, str(newtons)]
     drive = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     height = float(drive.stdout.split(" m above")[0].split()[-1])
     assert height > 0.3  # standing it is 0.33 m

@@ -50,8 +50,12 @@ def normalizer(size: int, normalize: bool | ObservationNormalizer) -> list[nn.Mo
     """What stands before the first layer: a normaliser, new or shared, or nothing.
 
     Raises:
-        ValueError: if the one to be shared is of another size.
+        ValueError: if the one to be shared is of another size, or if it is a word.
     """
+    if isinstance(normalize, str):
+        raise ValueError(
+            f"normalize must be true or false, of a critic also shared, got {normalize}."
+        )
     if isinstance(normalize, ObservationNormalizer):
         if len(normalize.mean) != size:
             raise ValueError(

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -75,7 +76,12 @@ def learning_bands(
     axes.tick_params(labelsize=7)
     axes.set_title(title, fontsize=9)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7, title="mean and 95 % interval (seeds)", title_fontsize=7)
+    beside: dict[str, Any] = {}
+    if len(groups) > 4:  # so many names would cover what they name
+        figure.set_size_inches(5.4, 2.7)
+        beside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+    what = "mean and 95 % interval (seeds)"
+    axes.legend(fontsize=7, title=what, title_fontsize=7, **beside)
     figure.savefig(path, dpi=300)
 
 
