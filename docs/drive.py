@@ -1,4 +1,4 @@
-"""Drives the robot with an exported policy: python docs/drive.py policy.onnx policy.json [newtons]"""
+"""Drives the robot by an exported policy: drive.py policy.onnx policy.json [newtons of the push]"""
 
 import json
 import sys
