@@ -1,7 +1,6 @@
 """Which policies and baselines are tested, and in which world."""
 
 import json
-from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -79,8 +78,8 @@ def test_baselines_beside_a_policy_meet_its_world(tmp_path):
 def test_a_baseline_in_an_env_with_modes_holds_its_pose(compose_config):
     """Without an action its reference would go down as soon as the machine says KNEEL."""
     cfg = compose_config("env=push_to_kneel", "num_envs=2").env
-    battery = load_battery("planar", impulses=[1.0], starts=1, directions=2, end_time=1.0)
-    battery = replace(battery, push_time=0.2)
+    times = {"push_time": 0.2, "end_time": 1.0}
+    battery = load_battery("planar", impulses=[1.0], starts=1, directions=2, **times)
 
     def moved(world):
         targets = []

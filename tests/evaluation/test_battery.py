@@ -56,6 +56,27 @@ def test_a_battery_runs_on_the_nominal_robot_with_its_own_pushes_alone(compose_c
     assert sum(isinstance(t, ScriptedPush) for t in env.transform) == 1
 
 
+@pytest.mark.parametrize(
+    ("battery", "kept", "message"),
+    [
+        ("planar", "start", "must have the starts and pushes to itself, NoisyStart is left on"),
+        ("planar", "push", "must have the starts and pushes to itself, RandomPush is left on"),
+        ("planar_slippery", "randomization", "only one to set foot_friction, DomainRandomization"),
+        ("planar_payload", "randomization", "only one to set link_mass, DomainRandomization"),
+    ],
+)
+def test_nothing_starts_pushes_or_draws_beside_a_battery(compose_config, battery, kept, message):
+    cfg = compose_config("+randomization=icub", f"env.training_only.{kept}=false").env
+    with pytest.raises(ValueError, match=message):
+        battery_env(load_battery(battery), cfg, 2)
+
+
+def test_randomised_physics_may_stay_where_the_battery_sets_none(compose_config):
+    cfg = compose_config("+randomization=icub", "env.training_only.randomization=false").env
+    env, _, _ = battery_env(load_battery("planar"), cfg, 2)
+    assert "DomainRandomization" in {type(t).__name__ for t in env.transform}
+
+
 @pytest.fixture(scope="module")
 def results(compose_config) -> dict[str, pd.DataFrame]:
     cfg = compose_config("num_envs=64")
@@ -157,7 +178,7 @@ def test_masses_and_loads_are_drawn_for_each_trial_from_its_own_seed(make_base):
 def test_payload_battery_weighs_what_it_says(compose_config):
     """Force of the floor on standing feet: total mass of each trial times g."""
     cfg = compose_config("num_envs=64")
-    battery = load_battery("planar_payload", **(SMALL | {"end_time": 3.1}))
+    battery = load_battery("planar_payload", **(SMALL | {"end_time": 3.2}))
     table = run_battery(battery, cfg.env, None, num_envs=64)
     assert table["mass_factor"].between(0.8, 1.2).all()
     env, _, _ = battery_env(battery, cfg.env, 64)

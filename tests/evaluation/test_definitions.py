@@ -105,3 +105,17 @@ def test_durations_and_sizes_that_make_no_push_are_refused():
         load_battery("planar", duration=0)
     with pytest.raises(ValueError, match="impulses must be positive"):
         load_battery("spherical", impulses=[0.2, -0.1])
+
+
+@pytest.mark.parametrize("end", [3.0, 3.1])
+def test_a_trial_does_not_end_before_its_push_does(end):
+    """The push lasts from 3.0 to 3.1 s."""
+    with pytest.raises(ValueError, match="end_time must be later than the end of the push, 3.1 s"):
+        load_battery("planar", end_time=end)
+    assert load_battery("planar", end_time=3.2).end_time == 3.2
+
+
+@pytest.mark.parametrize("name", ["planar", "envelope"])
+def test_pushes_of_several_durations_are_not_mixed(name):
+    with pytest.raises(ValueError, match=f"duration of battery {name} must be one"):
+        load_battery(name, duration=[0.1, 0.4])

@@ -43,8 +43,9 @@ def test_triggers_are_counted_from_the_push_and_not_before_it(make_base):
         td = kneel(env)
         return td.set("mode", torch.nn.functional.one_hot(torch.tensor(mode), 3).float())
 
-    kneeling.before(modes(0, 0, 0))
-    kneeling.before(modes(1, 0, 0))
+    nobody = torch.zeros(3, dtype=torch.bool)
+    kneeling.before(modes(0, 0, 0), nobody)
+    kneeling.before(modes(1, 0, 0), nobody)
     for step in range(1, 16):
         td = modes(1, int(step >= 2), 0)
         kneeling.update(td, counted, ~counted, step * 0.04)
@@ -53,6 +54,17 @@ def test_triggers_are_counted_from_the_push_and_not_before_it(make_base):
     assert table["trigger_s"].nan_to_num(-1.0).tolist() == pytest.approx([-1.0, 0.08, -1.0])
     assert kneeling.kneeled.tolist() == [True, False, False]
     assert table["kneel_time_s"].isnan().all()  # of world 0 it is not known
+
+
+def test_without_modes_a_touch_before_the_push_is_giving_up(make_base):
+    env = make_base(num_envs=3)
+    kneeling = Kneeling(env)
+    kneeling.before(kneel(env), torch.tensor([True, False, False]))
+    counted = torch.ones(3, dtype=torch.bool)
+    kneeling.update(kneel(env), counted, torch.tensor([False, True, False]), 0.04)
+    table = kneeling.table()
+    assert table["gave_up_before"].tolist() == [True, False, False]
+    assert table["trigger_s"].nan_to_num(-1.0).tolist() == pytest.approx([-1.0, 0.04, -1.0])
 
 
 @pytest.mark.parametrize(

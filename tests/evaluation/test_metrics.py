@@ -87,6 +87,23 @@ def test_smoothness_of_a_sine_by_hand(length, frequency):
     assert spectral_smoothness(signal, 0.04).item() == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_trial_that_was_over_before_its_push_has_nothing_measured(make_base):
+    """World 0 falls at 0.2 s and is over at 0.7 s, world 1 falls just before the push at 1 s."""
+    env = make_base(num_envs=3)
+    outcomes = Outcomes(env, load_battery("planar", push_time=1.0, end_time=2.0))
+    regions = len(env.regions)
+    for step in range(1, 51):
+        touch = torch.zeros(3, regions)
+        touch[0, 0], touch[1, 0] = 50.0 * (step == 5), 40.0 * (step >= 24)
+        outcomes.update(record(regions, contact_force_peak=touch))
+    table = outcomes.table()
+    assert table["fell"].tolist() == [True, True, False]
+    assert table["target_smoothness"].isna().tolist() == [True, True, False]
+    for column in ("peak_base_acceleration", "peak_contact_force", "peak_tilt"):
+        assert table[column].isna().tolist() == [True, False, False]
+    assert table["peak_contact_force/head"].tolist()[1:] == [40.0, 0.0]
+
+
 def test_smoothness_is_that_of_the_two_seconds_before_the_push(make_base):
     """A sine in world 0 until the push at 3 s, after a jump long before and one at the push."""
     env = make_base(num_envs=3)

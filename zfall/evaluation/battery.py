@@ -20,6 +20,7 @@ from zfall.envs.robots import ZEROTH01, Robot
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
+from zfall.envs.transforms.randomization import DomainRandomization
 from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials, those_of
 from zfall.evaluation.metrics import Outcomes
@@ -80,6 +81,9 @@ def battery_env(
         num_envs: number of worlds.
         servos: whether the servos act at all.
         pushes: how many a trial has at most.
+
+    Raises:
+        ValueError: if it brings starts, pushes or physics of its own where the battery does.
     """
     base = instantiate(cfg.base_env, num_envs=num_envs, servos=servos, _convert_="all")
     start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
@@ -94,7 +98,29 @@ def battery_env(
     table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
     training_only = OmegaConf.select(cfg, "training_only", default={})
     env = make_env(base, table, training_only=training_only, training=False)
+    _check_ours_alone(battery, env, (start, push))
     return env, start, push
+
+
+_OURS = ("zfall.envs.transforms.starts", "zfall.envs.transforms.pushes")
+
+
+def _check_ours_alone(battery: Battery, env: TransformedEnv, ours: Sequence[Any]) -> None:
+    """Refuses what would start, push or randomise beside the battery, if it was kept on."""
+    params = trial_parameters(battery, pd.DataFrame({"seed": [0], "trial": [0]}), env.base_env)
+    for transform in env.transform:
+        name = type(transform).__name__
+        if type(transform).__module__.startswith(_OURS) and transform not in ours:
+            raise ValueError(
+                f"battery {battery.name} must have the starts and pushes to itself, {name} is "
+                "left on: take it out of keep, or name it in training_only."
+            )
+        drawn = params.keys() & set(getattr(transform, "params", ()))
+        if drawn and isinstance(transform, DomainRandomization):
+            raise ValueError(
+                f"battery {battery.name} must be the only one to set {min(drawn)}, {name} is left "
+                "on, which draws it: take it out of keep."
+            )
 
 
 def arrange(

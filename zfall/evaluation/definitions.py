@@ -138,6 +138,13 @@ def load_battery(name: str, **options: Any) -> Battery:
     battery = Battery(version=version, name=name, **numbers)
     if min(battery.durations, default=0.0) <= 0:
         raise ValueError(f"duration must be positive, got {numbers['duration']}.")
+    if isinstance(numbers["duration"], tuple) and battery.interval is None:
+        raise ValueError(f"duration of battery {name} must be one, got {numbers['duration']}.")
+    over = battery.push_time + max(battery.durations)
+    if not battery.end_time > over:
+        raise ValueError(
+            f"end_time must be later than the end of the push, {over:g} s, got {battery.end_time}."
+        )
     return battery
 
 

@@ -33,12 +33,9 @@ class Kneeling:
 
     def __init__(self, env: HumanoidEnv):
         n = env.num_envs
-        self.robot, self.regions, self.dt, self.mass = (
-            env.robot,
-            env.regions,
-            env.control_dt,
-            env.mass,
-        )
+        self.robot, self.regions, self.dt = env.robot, env.regions, env.control_dt
+        own = env.parameters.mass  # of each world, where they differ
+        self.mass = torch.full((n,), env.mass) if own is None else own[:, 0].clone()
         self.rested = torch.zeros(n)
         self.early = torch.zeros(n, dtype=torch.bool)
         self.trigger, self.stable = torch.full((n,), torch.nan), torch.full((n,), torch.nan)
@@ -51,10 +48,14 @@ class Kneeling:
         """Trials that are in a stable kneel now ``(N,)`` bool."""
         return self.rested > HOLD - 1e-6
 
-    def before(self, td: TensorDictBase) -> None:
-        """Takes in a control step before the push."""
-        if "mode" in td.keys():
-            self.early |= td["mode"][:, RECOVER] == 0
+    def before(self, td: TensorDictBase, touched: Tensor) -> None:
+        """Takes in a control step before the push.
+
+        Args:
+            td: what followed it.
+            touched: worlds in which something but the feet touches ``(N,)`` bool.
+        """
+        self.early |= td["mode"][:, RECOVER] == 0 if "mode" in td.keys() else touched
 
     def update(self, td: TensorDictBase, counted: Tensor, first: Tensor, since_push: float) -> None:
         """Takes in a control step after the push.

@@ -1,7 +1,9 @@
 """What a trial is judged by, measured on true quantities."""
 
+import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -87,7 +89,7 @@ class Outcomes:
             self._targets.append(td["target"].clone())
         if since_push < 1e-6:
             self.strategies.before(td)
-            self.kneeling.before(td)
+            self.kneeling.before(td, touched)
         else:
             counted = ~self.settled
             self.effort.update(td, counted & (~self.fell | first))
@@ -120,10 +122,12 @@ class Outcomes:
             "peak_contact_force": body_peak.amax(-1).numpy(),
             "target_smoothness": self._smoothness().numpy(),
         }
-        measured = self.strategies.table(self.fell) | self.effort.table() | self.kneeling.table()
-        columns |= {name: value.numpy() for name, value in measured.items()}
         for index, region in enumerate(self.regions):
             columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
+        peaks = [name for name in columns if name.startswith("peak_")]
+        columns |= {name: np.where(self._over_before(), np.nan, columns[name]) for name in peaks}
+        measured = self.strategies.table(self.fell) | self.effort.table() | self.kneeling.table()
+        columns |= {name: value.numpy() for name, value in measured.items()}
         # In float64 a number read back from a file is the number that was written.
         return pd.DataFrame(
             {key: x.astype(float) if x.dtype == "float32" else x for key, x in columns.items()}
@@ -132,4 +136,12 @@ class Outcomes:
     def _smoothness(self) -> Tensor:
         if not self._targets:
             return torch.full_like(self.time_to_fall, torch.nan)
-        return spectral_smoothness(torch.stack(self._targets, 1), self.control_dt)
+        smoothness = spectral_smoothness(torch.stack(self._targets, 1), self.control_dt)
+        # What lies on the floor before the push does not stand smoothly.
+        return torch.where(self.time_to_fall < 1e-6, torch.nan, smoothness)
+
+    def _over_before(self) -> NDArray[np.bool_]:
+        """Trials that were over before the push, of which nothing is counted ``(N,)``."""
+        if self.battery.aftermath is None:
+            return np.zeros(len(self.fell), dtype=bool)
+        return (self.time_to_fall + self.battery.aftermath < 1e-6).numpy()

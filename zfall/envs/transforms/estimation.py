@@ -2,7 +2,8 @@
 
 The Kalman filters run with the gain that they settle at: filterpy computes it once, by running the
 filter until it does, and all worlds are then updated by one matrix product per step. After a reset
-an estimate is the true value, as if the filter had been running before.
+an estimate is the true value; that of the gyro's bias is 0, as of a robot just switched on: with a
+bias of 0.02 rad/s the tilt is off by up to 0.04 rad in the first ten seconds.
 """
 
 import numpy as np

@@ -106,7 +106,8 @@ class ModeMachine(Transform):
         env: the base env.
         angle: [rad].
         angular_velocity: of the base, its norm [rad/s].
-        hold: time for which danger must last [s]; at least one step.
+        hold: time for which danger must last [s]; at least one step. This and the other times are
+            rounded to control steps, halves to the even number: 0.5 s at 25 Hz are 12.
         rest: time of rest that makes a kneel stable [s].
         rest_speed: of the base at rest, at most [m/s and rad/s].
         rest_joint_speed: of every joint at rest, at most [rad/s].
