@@ -19,7 +19,7 @@ from recipes.results import write_comparison, write_envelope, write_results
 from recipes.tested import BASELINES, Tested, held, load_run, read_trials, write_trials
 from recipes.trial import show_trial
 from zfall.envs.make import left_out
-from zfall.evaluation.battery import run_battery
+from zfall.evaluation.battery import run_battery, starts_and_pushes
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.envelope import run_envelope
 from zfall.evaluation.report import write_report
@@ -145,7 +145,8 @@ def run_or_read(
     if cfg.runs is not None and (done := read_trials(folder / "trials.csv", asked)) is not None:
         console.print(f"{battery.name} of {tested.name}: read from {folder}/trials.csv")
         return done
-    gone = ", ".join(left_out(OmegaConf.select(tested.env_cfg, "training_only", default={})))
+    only = left_out(OmegaConf.select(tested.env_cfg, "training_only", default={}))
+    gone = ", ".join(dict.fromkeys([*only, *starts_and_pushes(tested.env_cfg)]))
     console.print(
         f"{battery.name} of {tested.name}; of the env's transforms left out: {gone or 'nothing'}"
     )

@@ -16,29 +16,29 @@ def check_ranges(cfg: DictConfig) -> None:
     """
     _check_whole(cfg, (*_COUNTS, "seed", "burn_in"))
     for key in _COUNTS:
-        _check(cfg[key], key, lambda x: x >= 1, "be at least 1")
-    _check(
+        check_number(cfg[key], key, lambda x: x >= 1, "be at least 1")
+    check_number(
         cfg.burn_in, "burn_in", lambda x: 0 <= x < cfg.rollout_steps, "lie in [0, rollout_steps)"
     )
-    _check(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
-    _check(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
-    _check(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
+    check_number(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
+    check_number(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
+    check_number(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
     if cfg.optimizer is None:
         raise ValueError("optimizer must name one, {_target_: torch.optim.Adam, ...}, got None.")
     if "lr" in cfg.optimizer:
-        _check(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
+        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
     _check_loss(cfg.loss)
 
 
 def _check_loss(loss: DictConfig) -> None:
     for key in ("gamma", "lmbda"):
-        _check(loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
-    _check(loss.clip_epsilon, "loss.clip_epsilon", lambda x: x > 0, "be positive")
+        check_number(loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
+    check_number(loss.clip_epsilon, "loss.clip_epsilon", lambda x: x > 0, "be positive")
     for key in ("critic_coeff", "entropy_coeff", "kl_coeff"):
-        _check(loss[key], f"loss.{key}", lambda x: x >= 0, "not be negative")
+        check_number(loss[key], f"loss.{key}", lambda x: x >= 0, "not be negative")
     for key in ("kl_stop", "kl_target", "value_clip", "value_error_clip"):
         if loss[key] is not None:
-            _check(loss[key], f"loss.{key}", lambda x: x > 0, "be positive or null")
+            check_number(loss[key], f"loss.{key}", lambda x: x > 0, "be positive or null")
     if loss.normalize_advantage not in ("minibatch", "batch", None):
         raise ValueError(
             "loss.normalize_advantage must be minibatch, batch or null, "
@@ -52,7 +52,12 @@ def _check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
             raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
 
 
-def _check(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:
+def check_number(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:
+    """Refuses a value that is no number, or one that the rule does not hold for.
+
+    Raises:
+        ValueError: naming it.
+    """
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not (number and holds(value)):
         raise ValueError(f"{name} must {rule}, got {value}.")

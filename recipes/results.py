@@ -1,6 +1,7 @@
 """Files of a battery's results: summaries, tables, figures."""
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,7 @@ def write_results(
         robot: whose reference lines are drawn.
     """
     summary = summary_of(battery, trials)
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2))
+    write_summary(folder, summary)
     title = f"{name}, {folder.name.replace('_', ' ')}"
     written = ["trials.csv", "summary.json"]
     if battery.interval is not None:
@@ -108,7 +109,7 @@ def write_envelope(
         "largest_mean": means["mean"].to_dict(),
         "largest_min": means["min"].to_dict(),
     }
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2))
+    write_summary(folder, summary)
     title = "largest impulse recovered from"
     lines = references(robot, battery.durations[0])
     written = ["trials.csv", "envelope.csv", "summary.json"]
@@ -145,7 +146,7 @@ def write_comparison(
         )
         written += _figures(folder, "profiles", lambda p: profiles_plot(named, p, title=title))
         console.print(table({short[name]: summary for name, summary in summaries.items()}))
-    (folder / "summary.json").write_text(json.dumps(summaries, indent=2))
+    write_summary(folder, summaries)
     console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
     console.print(f"wrote {folder}/{', '.join(written)}")
 
@@ -202,3 +203,16 @@ def markdown(rows: pd.DataFrame) -> str:
     cells = rows.map(lambda value: f"{value:.3g}" if isinstance(value, float) else str(value))
     lines = [list(rows.columns), ["---"] * rows.shape[1], *cells.to_numpy().tolist()]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """Writes ``summary.json``, in which what is not a number is null: JSON has no word for it."""
+    (folder / "summary.json").write_text(json.dumps(_known(summary), indent=2, allow_nan=False))
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _known(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_known(entry) for entry in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

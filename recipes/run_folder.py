@@ -35,6 +35,19 @@ def write_config(cfg: DictConfig, overrides: Sequence[str], folder: Path) -> Non
     OmegaConf.save(OmegaConf.create(list(overrides)), folder / ".hydra" / "overrides.yaml")
 
 
+def check_version(state: dict[str, Any], folder: Path) -> None:
+    """Refuses to go on with a run of another version of this program.
+
+    Raises:
+        ValueError: naming both.
+    """
+    if state.get("version") != VERSION:
+        raise ValueError(
+            f"{folder} must be a run of version {VERSION} to go on with it, got "
+            f"{state.get('version')}; its policy can be read, its training begins anew."
+        )
+
+
 class RunFolder:
     """The files of a run: metrics, timings, TensorBoard, checkpoints.
 
@@ -122,18 +135,6 @@ class RunFolder:
             "recent": self.recent,
             "best": self.best,
         }
-
-    def check_version(self, state: dict[str, Any]) -> None:
-        """Refuses a run of another version of this program.
-
-        Raises:
-            ValueError: naming both.
-        """
-        if state.get("version") != VERSION:
-            raise ValueError(
-                f"{self.folder} must be a run of version {VERSION} to go on with it, got "
-                f"{state.get('version')}; its policy can be read, its training begins anew."
-            )
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Goes on from a checkpoint: rows written after it are dropped."""

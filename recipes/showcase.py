@@ -1,6 +1,5 @@
 """What a training run shows at its end: a short battery, plots and a film."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from recipes.learner import Learner
 from recipes.one_line import shell_line, shown_path
+from recipes.results import write_summary
 from recipes.tested import held
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, play, run_battery
@@ -55,7 +55,7 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
         "after": summarize(battery, after),
         "pose_hold": summarize(battery, baseline),
     }
-    (folder / "summary.json").write_text(json.dumps(summaries, indent=2))
+    write_summary(folder, summaries)
     learning_curves(pd.read_csv(folder / "metrics.csv"), plots / "learning_curves.png")
     title = "share recovered, short planar"
     lines = references(learner.env.base_env.robot, battery.durations[0])

@@ -17,8 +17,9 @@ from recipes.digests import env_digest, weights_digest
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 from zfall.envs.robots import Robot
-from zfall.evaluation.battery import robot_of
+from zfall.evaluation.battery import robot_of, starts_and_pushes
 from zfall.evaluation.definitions import Battery
+from zfall.evaluation.metrics import MEASURES
 
 BASELINES = ("pose_hold", "limp", "scripted_kneel")
 POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
@@ -46,6 +47,8 @@ class Tested:
     def load(cls, cfg: DictConfig, name: str, output: Path, setting: str) -> "Tested":
         """From its folder, or for a baseline by its name; ``setting`` names its results."""
         env_cfg, actor = load_run(cfg, name)
+        for kept in set(cfg.keep) & set(starts_and_pushes(env_cfg)):
+            raise ValueError(f"keep must not name {kept}: a battery has its own starts and pushes.")
         place = Path(name)
         if name in BASELINES or _shipped(name).exists():
             place = output / name if cfg.runs is not None else output
@@ -69,6 +72,7 @@ class Tested:
             "baseline": self.name if self.actor is None else None,
             "weights": self.weights,
             "seed": cfg.seed,
+            "measures": MEASURES,
             "keep": list(cfg.keep),
             "definition": json.loads(json.dumps(asdict(battery))),
             "env": OmegaConf.to_yaml(self.env_cfg, resolve=True),
@@ -160,11 +164,12 @@ def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:
     """The first key inside of configs that are not equal whose values differ, and these."""
     while all(isinstance(value, DictConfig) for value in values):
         inside = dict.fromkeys(str(name) for value in values for name in value)
-        for name in inside:
-            found = [value.get(name) for value in values]
-            if any(value != found[0] for value in found):
-                break
-        key, values = f"{key}.{name}", found
+        found = {name: [value.get(name, "nothing") for value in values] for name in inside}
+        differing = (n for n, those in found.items() if any(x != those[0] for x in those))
+        name = next(differing, None)
+        if name is None:
+            break
+        key, values = f"{key}.{name}", found[name]
     return key, values
 
 

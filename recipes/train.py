@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -19,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from recipes.learner import Learner
 from recipes.metrics import batch_metrics
 from recipes.one_line import check_keys, one_line_errors, shell_line, shown_path, start
-from recipes.run_folder import RunFolder, removed_if_unused, write_config
+from recipes.run_folder import RunFolder, check_version, removed_if_unused, write_config
 from recipes.showcase import show
 from recipes.warm_start import warm_start
 from zfall import checkpoint
@@ -51,6 +50,7 @@ def main(cfg: DictConfig) -> None:
         if cfg.resume is not None:
             folder = Path(cfg.resume)
             state = checkpoint.load(folder / "checkpoints" / "last.pt")
+            check_version(state["run"], folder)
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
         elif (folder / "metrics.csv").exists():
             raise ValueError(
@@ -66,10 +66,7 @@ def main(cfg: DictConfig) -> None:
                 if state is None:  # a run that goes on needs it only to show what was before
                     raise
         untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
-        run = RunFolder(folder)
-        if state is None:
-            write_config(cfg, HydraConfig.get().overrides.task, folder)
-        else:
+        if state is not None:
             robot = identity_of(learner.env.base_env.robot)
             checkpoint.check_fits(state, robot, learner.actor, folder)
             if number_of_updates(learner) < state["updates"]:
@@ -77,7 +74,12 @@ def main(cfg: DictConfig) -> None:
                     f"total_frames must not be less than the {state['frames']} that {folder} has "
                     f"behind it, got {cfg.total_frames}."
                 )
-            go_on(learner, run, state)
+            learner.load_state_dict(state)
+        run = RunFolder(folder)
+        if state is None:
+            write_config(cfg, HydraConfig.get().overrides.task, folder)
+        else:
+            run.load_state_dict(state["run"])
     console = Console()
     if not train(learner, run, console):
         line = shell_line("train", f"resume={shown_path(folder)}")
@@ -97,17 +99,13 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     """
     learner, run = Learner(cfg), RunFolder(folder)
     if (folder / "checkpoints" / "last.pt").exists():
-        go_on(learner, run, checkpoint.load(folder / "checkpoints" / "last.pt"))
+        state = checkpoint.load(folder / "checkpoints" / "last.pt")
+        check_version(state["run"], folder)
+        learner.load_state_dict(state)
+        run.load_state_dict(state["run"])
     elif cfg.warm_start is not None:
         warm_start(learner, cfg.warm_start)
     return train(learner, run, console)
-
-
-def go_on(learner: Learner, run: RunFolder, state: dict[str, Any]) -> None:
-    """Continues from a checkpoint; the files are touched last, when nothing more can be refused."""
-    run.check_version(state["run"])
-    learner.load_state_dict(state)
-    run.load_state_dict(state["run"])
 
 
 def try_one_step(env_cfg: DictConfig) -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from recipes.tested import held, keep
+from recipes.tested import check_same_interface, held, keep
 from tests.shell import SMALL, TINY, run
 from zfall import checkpoint
 from zfall.envs.make import left_out
@@ -90,3 +90,28 @@ def test_a_baseline_in_an_env_with_modes_holds_its_pose(compose_config):
 
     assert moved(held(cfg)) < 1e-6
     assert moved(cfg) > 0.5
+
+
+@pytest.mark.parametrize("name", ["start", "push"])
+def test_starts_and_pushes_of_training_cannot_be_kept_in_a_battery(name):
+    done = run("evaluate", "run=best", f"keep=[{name}]")
+    assert done.returncode != 0
+    assert f"keep must not name {name}: a battery has its own starts and pushes" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "message"),
+    [
+        ({"scale": 0.6, "keys": ["a"]}, {"scale": 0.6, "keys": ["b"]}, r"action.keys, got \['a'\] and \['b'\]"),
+        ({"scale": 0.6}, {"scale": 0.6, "limit": None}, "action.limit, got nothing and None"),
+        ({"in": {"low": 1, "high": 2}}, {"in": {"low": 1, "high": 3}}, "action.in.high, got 2 and 3"),
+    ],
+)  # fmt: skip
+def test_what_differs_between_two_policies_is_named(one, other, message):
+    base = {"base_env": {"control_dt": 0.04}}
+    configs = {
+        name: OmegaConf.create({"env": base | {"transforms": {"action": value, "observation": {}}}})
+        for name, value in (("A", one), ("B", other))
+    }
+    with pytest.raises(ValueError, match=f"A and B must have the same env.transforms.{message}"):
+        check_same_interface(configs)

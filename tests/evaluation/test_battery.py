@@ -57,16 +57,27 @@ def test_a_battery_runs_on_the_nominal_robot_with_its_own_pushes_alone(compose_c
 
 
 @pytest.mark.parametrize(
-    ("battery", "kept", "message"),
+    "only", [[], ["env.training_only.start=false", "env.training_only.push=false"]]
+)
+def test_nothing_starts_or_pushes_beside_a_battery(compose_config, only):
+    """Named in ``training_only`` or not, as one added from the shell."""
+    kick = "{_target_: zfall.envs.transforms.pushes.VelocityKick, velocity: [0.1, 0.5], interval: [2, 4], before: last_action}"
+    env, start, push = battery_env(
+        load_battery("planar"), compose_config(*only, f"+env.transforms.kick={kick}").env, 2
+    )
+    made = {type(t).__name__ for t in env.transform if t not in (start, push)}
+    assert made.isdisjoint({"NoisyStart", "RandomPush", "VelocityKick"})
+
+
+@pytest.mark.parametrize(
+    ("battery", "message"),
     [
-        ("planar", "start", "must have the starts and pushes to itself, NoisyStart is left on"),
-        ("planar", "push", "must have the starts and pushes to itself, RandomPush is left on"),
-        ("planar_slippery", "randomization", "only one to set foot_friction, DomainRandomization"),
-        ("planar_payload", "randomization", "only one to set link_mass, DomainRandomization"),
+        ("planar_slippery", "planar_slippery must be the only one to set foot_friction"),
+        ("planar_payload", "planar_payload must be the only one to set link_mass"),
     ],
 )
-def test_nothing_starts_pushes_or_draws_beside_a_battery(compose_config, battery, kept, message):
-    cfg = compose_config("+randomization=icub", f"env.training_only.{kept}=false").env
+def test_physics_that_a_battery_sets_is_not_drawn_anew(compose_config, battery, message):
+    cfg = compose_config("+randomization=icub", "env.training_only.randomization=false").env
     with pytest.raises(ValueError, match=message):
         battery_env(load_battery(battery), cfg, 2)
 

@@ -116,6 +116,19 @@ def test_impact_energy_is_that_of_the_step_before_the_touch(make_base):
     assert energy[1:].isnan().all()
 
 
+def test_impact_energy_is_of_the_mass_that_each_world_has_then(make_base):
+    """Masses are drawn after the measuring has been set up: 0.8, 1 and 1.2 of the nominal one."""
+    env = make_base(num_envs=3)
+    kneeling, counted = Kneeling(env), torch.ones(3, dtype=torch.bool)
+    links = env.physics_param_spec["link_mass"].shape[1]
+    factor = torch.tensor([[0.8], [1.0], [1.2]])
+    env.set_physics_params(TensorDict({"link_mass": factor.repeat(1, links)}, batch_size=[3]))
+    fast = torch.tensor([[0.0, 0.0, -2.0]] * 3)
+    kneeling.update(kneel(env, com_velocity=fast), counted, counted, 0.1)
+    energy = kneeling.table()["impact_energy"]
+    assert energy.tolist() == pytest.approx((0.5 * env.mass * 4.0 * factor[:, 0]).tolist())
+
+
 def test_contact_impulses_add_up_while_the_trial_goes_on(make_base):
     env = make_base(num_envs=3)
     kneeling = Kneeling(env)

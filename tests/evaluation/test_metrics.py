@@ -87,19 +87,21 @@ def test_smoothness_of_a_sine_by_hand(length, frequency):
     assert spectral_smoothness(signal, 0.04).item() == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_trial_that_was_over_before_its_push_has_nothing_measured(make_base):
-    """World 0 falls at 0.2 s and is over at 0.7 s, world 1 falls just before the push at 1 s."""
+@pytest.mark.parametrize("fall", [5, 12, 13])
+def test_a_trial_that_was_over_before_its_push_has_nothing_measured(make_base, fall):
+    """World 0 falls half a second before the first step of the push, at 1 s, or earlier still."""
     env = make_base(num_envs=3)
     outcomes = Outcomes(env, load_battery("planar", push_time=1.0, end_time=2.0))
     regions = len(env.regions)
     for step in range(1, 51):
         touch = torch.zeros(3, regions)
-        touch[0, 0], touch[1, 0] = 50.0 * (step == 5), 40.0 * (step >= 24)
+        touch[0, 0], touch[1, 0] = 50.0 * (step == fall), 40.0 * (step >= 24)
         outcomes.update(record(regions, contact_force_peak=touch))
     table = outcomes.table()
     assert table["fell"].tolist() == [True, True, False]
     assert table["target_smoothness"].isna().tolist() == [True, True, False]
-    for column in ("peak_base_acceleration", "peak_contact_force", "peak_tilt"):
+    peaks = ("peak_base_acceleration", "peak_contact_force", "peak_tilt")
+    for column in (*peaks, "contact_impulse/torso"):
         assert table[column].isna().tolist() == [True, False, False]
     assert table["peak_contact_force/head"].tolist()[1:] == [40.0, 0.0]
 

@@ -41,14 +41,21 @@ def test_success_map_shows_each_share_where_it_belongs(tmp_path, monkeypatch):
         assert value == expected, (heading, size)
 
 
-def test_success_map_is_drawn_beside_a_baseline(tmp_path):
+def test_success_map_is_drawn_beside_a_baseline(tmp_path, monkeypatch):
+    """The baseline withstands 0.1 more; each has its line at its I50 in all directions."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
     rows = [
         {"direction_rad": d, "impulse": i, "recovered": i < 0.3}
         for d in np.arange(0, 2 * np.pi, np.pi / 6)
         for i in (0.0, 0.1, 0.2, 0.3, 0.4)
     ]
-    success_map(pd.DataFrame(rows), tmp_path / "map.png", title="test", baseline=pd.DataFrame(rows))
-    assert imageio.imread(tmp_path / "map.png").std() > 5
+    better = pd.DataFrame(rows)
+    better["recovered"] = better["impulse"] < 0.4
+    success_map(pd.DataFrame(rows), tmp_path / "map.png", title="test", baseline=better)
+    lines = {line.get_label(): line for line in drawn[0].axes[0].lines}
+    assert np.asarray(lines["I50"].get_ydata()) == pytest.approx(0.2)
+    assert np.asarray(lines["I50 of pose_hold"].get_ydata()) == pytest.approx(0.3)
 
 
 def test_learning_curves_are_drawn(tmp_path):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from hydra.utils import instantiate
+from hydra.utils import get_object, instantiate
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
@@ -15,7 +15,7 @@ from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type, 
 from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.make import make_env
+from zfall.envs.make import left_out, make_env
 from zfall.envs.robots import ZEROTH01, Robot
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.actions import JointVelocityTarget
@@ -77,13 +77,14 @@ def battery_env(
 
     Args:
         battery: the definition.
-        cfg: config of the env, as in ``recipes/env``; its ``training_only`` is left out.
+        cfg: config of the env, as in ``recipes/env``; its ``training_only`` is left out, and
+            whatever starts or pushes.
         num_envs: number of worlds.
         servos: whether the servos act at all.
         pushes: how many a trial has at most.
 
     Raises:
-        ValueError: if it brings starts, pushes or physics of its own where the battery does.
+        ValueError: if it draws what the battery sets of the physics.
     """
     base = instantiate(cfg.base_env, num_envs=num_envs, servos=servos, _convert_="all")
     start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
@@ -96,30 +97,35 @@ def battery_env(
         plan=torch.zeros(num_envs, len(points), 3),
     )
     table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
-    training_only = OmegaConf.select(cfg, "training_only", default={})
+    gone = left_out(OmegaConf.select(cfg, "training_only", default={}))
+    training_only = {*gone, *starts_and_pushes(cfg)}
     env = make_env(base, table, training_only=training_only, training=False)
-    _check_ours_alone(battery, env, (start, push))
+    _check_physics(battery, env)
     return env, start, push
 
 
 _OURS = ("zfall.envs.transforms.starts", "zfall.envs.transforms.pushes")
 
 
-def _check_ours_alone(battery: Battery, env: TransformedEnv, ours: Sequence[Any]) -> None:
-    """Refuses what would start, push or randomise beside the battery, if it was kept on."""
+def starts_and_pushes(cfg: DictConfig) -> list[str]:
+    """Names of the transforms of an env in whose place a battery has its own."""
+    table = {name: transform for name, transform in cfg.transforms.items() if transform}
+    return [
+        str(name)
+        for name, transform in table.items()
+        if get_object(transform["_target_"]).__module__.startswith(_OURS)
+    ]
+
+
+def _check_physics(battery: Battery, env: TransformedEnv) -> None:
+    """Refuses randomisation that was left on and would draw anew what the battery sets."""
     params = trial_parameters(battery, pd.DataFrame({"seed": [0], "trial": [0]}), env.base_env)
     for transform in env.transform:
-        name = type(transform).__name__
-        if type(transform).__module__.startswith(_OURS) and transform not in ours:
+        if isinstance(transform, DomainRandomization) and params.keys() & transform.params.keys():
             raise ValueError(
-                f"battery {battery.name} must have the starts and pushes to itself, {name} is "
-                "left on: take it out of keep, or name it in training_only."
-            )
-        drawn = params.keys() & set(getattr(transform, "params", ()))
-        if drawn and isinstance(transform, DomainRandomization):
-            raise ValueError(
-                f"battery {battery.name} must be the only one to set {min(drawn)}, {name} is left "
-                "on, which draws it: take it out of keep."
+                f"battery {battery.name} must be the only one to set "
+                f"{min(params.keys() & transform.params.keys())}: take the randomisation out of "
+                "keep, or name it in training_only."
             )
 
 

@@ -34,8 +34,7 @@ class Kneeling:
     def __init__(self, env: HumanoidEnv):
         n = env.num_envs
         self.robot, self.regions, self.dt = env.robot, env.regions, env.control_dt
-        own = env.parameters.mass  # of each world, where they differ
-        self.mass = torch.full((n,), env.mass) if own is None else own[:, 0].clone()
+        self.mass, self._parameters = env.mass, env.parameters
         self.rested = torch.zeros(n)
         self.early = torch.zeros(n, dtype=torch.bool)
         self.trigger, self.stable = torch.full((n,), torch.nan), torch.full((n,), torch.nan)
@@ -77,7 +76,9 @@ class Kneeling:
         self.impulse += counted[:, None] * td["contact_impulse"]
         speed = td["com_velocity"].norm(dim=-1)
         before_it = speed if self._speed is None else self._speed
-        self.energy = torch.where(first, 0.5 * self.mass * before_it.square(), self.energy)
+        own = self._parameters.mass  # of each world, where they differ
+        mass = self.mass if own is None else own[:, 0]
+        self.energy = torch.where(first, 0.5 * mass * before_it.square(), self.energy)
         self._speed = speed
 
     def table(self) -> dict[str, Tensor]:

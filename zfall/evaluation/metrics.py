@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -15,6 +14,7 @@ from zfall.evaluation.effort import Effort
 from zfall.evaluation.kneeling import Kneeling
 from zfall.evaluation.strategies import Strategies
 
+MEASURES = 2  # version of what the columns mean: raise it when that changes
 STANDING = 2.0  # time before the push in which smoothness is measured [s]
 
 
@@ -65,6 +65,7 @@ class Outcomes:
         self.time = 0.0
         self.fell = torch.zeros(n, dtype=torch.bool)
         self.settled = torch.zeros(n, dtype=torch.bool)
+        self.counted = torch.zeros(n, dtype=torch.bool)  # at least one step after the push
         self.time_to_fall = torch.full((n,), torch.nan)
         self.peak_base_acceleration = torch.zeros(n)
         self.peak_contact_force = torch.zeros(n, len(env.regions))
@@ -92,6 +93,7 @@ class Outcomes:
             self.kneeling.before(td, touched)
         else:
             counted = ~self.settled
+            self.counted |= counted
             self.effort.update(td, counted & (~self.fell | first))
             self.strategies.update(td, counted & (~self.fell | first), since_push)
             self.kneeling.update(td, counted, first, since_push)
@@ -122,12 +124,13 @@ class Outcomes:
             "peak_contact_force": body_peak.amax(-1).numpy(),
             "target_smoothness": self._smoothness().numpy(),
         }
-        for index, region in enumerate(self.regions):
-            columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
-        peaks = [name for name in columns if name.startswith("peak_")]
-        columns |= {name: np.where(self._over_before(), np.nan, columns[name]) for name in peaks}
         measured = self.strategies.table(self.fell) | self.effort.table() | self.kneeling.table()
         columns |= {name: value.numpy() for name, value in measured.items()}
+        for index, region in enumerate(self.regions):
+            columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
+        never = (self.fell & ~self.counted).numpy()  # over before the push
+        for name in (name for name in columns if name.startswith(("peak_", "contact_impulse"))):
+            columns[name] = np.where(never, np.nan, columns[name])
         # In float64 a number read back from a file is the number that was written.
         return pd.DataFrame(
             {key: x.astype(float) if x.dtype == "float32" else x for key, x in columns.items()}
@@ -139,9 +142,3 @@ class Outcomes:
         smoothness = spectral_smoothness(torch.stack(self._targets, 1), self.control_dt)
         # What lies on the floor before the push does not stand smoothly.
         return torch.where(self.time_to_fall < 1e-6, torch.nan, smoothness)
-
-    def _over_before(self) -> NDArray[np.bool_]:
-        """Trials that were over before the push, of which nothing is counted ``(N,)``."""
-        if self.battery.aftermath is None:
-            return np.zeros(len(self.fell), dtype=bool)
-        return (self.time_to_fall + self.battery.aftermath < 1e-6).numpy()
