@@ -1,7 +1,5 @@
 """Files of a battery's results: summaries, tables, figures."""
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ import pandas as pd
 from rich.console import Console
 
 from recipes.showcase import table
+from recipes.summaries import write_summary
 from zfall.envs.robots import Robot
 from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
@@ -203,16 +202,3 @@ def markdown(rows: pd.DataFrame) -> str:
     cells = rows.map(lambda value: f"{value:.3g}" if isinstance(value, float) else str(value))
     lines = [list(rows.columns), ["---"] * rows.shape[1], *cells.to_numpy().tolist()]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
-def write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    """Writes ``summary.json``, in which what is not a number is null: JSON has no word for it."""
-    (folder / "summary.json").write_text(json.dumps(_known(summary), indent=2, allow_nan=False))
-
-
-def _known(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _known(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_known(entry) for entry in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

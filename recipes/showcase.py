@@ -15,7 +15,7 @@ from torch import Tensor
 
 from recipes.learner import Learner
 from recipes.one_line import shell_line, shown_path
-from recipes.results import write_summary
+from recipes.summaries import write_summary
 from recipes.tested import held
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, play, run_battery
