@@ -132,14 +132,13 @@ def load_battery(name: str, **options: Any) -> Battery:
     for key in ("directions", "starts"):
         if numbers[key] < 1:
             raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
-    several = [key for key in ("duration", "point") if isinstance(numbers[key], tuple)]
-    if several and resolution is None and numbers["interval"] is None:
-        raise ValueError(f"{several[0]} of battery {name} must be one, got {numbers[several[0]]}.")
+    single = {"duration"} if resolution is not None else {"duration", "point"}
+    for key in sorted(single if numbers["interval"] is None else ()):
+        if isinstance(numbers[key], tuple):
+            raise ValueError(f"{key} of battery {name} must be one, got {numbers[key]}.")
     battery = Battery(version=version, name=name, **numbers)
     if min(battery.durations, default=0.0) <= 0:
         raise ValueError(f"duration must be positive, got {numbers['duration']}.")
-    if isinstance(numbers["duration"], tuple) and battery.interval is None:
-        raise ValueError(f"duration of battery {name} must be one, got {numbers['duration']}.")
     over = battery.push_time + max(battery.durations)
     if not battery.end_time > over:
         raise ValueError(
