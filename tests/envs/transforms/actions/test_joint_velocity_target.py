@@ -50,8 +50,7 @@ def test_velocity_sent_is_the_slope_of_the_position_sent_also_at_the_stops(make_
     transform = JointVelocityTarget(base, limit=3.0, rate=125.0)
     actions = torch.cat([torch.full((1, 40, 20), 1.0), torch.full((1, 3, 20), -0.5)], 1)
     _, control = drive(transform, actions)
-    plain = JointVelocityTarget(base, limit=3.0, rate=125.0)
-    plain.time_constant = torch.zeros(20)
+    plain = JointVelocityTarget(base, limit=3.0, rate=125.0, feedforward=False)
     _, position = drive(plain, actions)
     position, control = position[0, ::2], control[0, ::2]
     slope = (position[1:] - position[:-1]) / 0.008
@@ -62,6 +61,17 @@ def test_velocity_sent_is_the_slope_of_the_position_sent_also_at_the_stops(make_
     assert (position >= low).all()
     assert_close(position[200], high)  # 3 rad/s for 1.6 s: enough for the longest way
     assert_close(velocity[199], torch.zeros(20))
+
+
+def test_without_feedforward_the_command_has_no_jumps(make_base):
+    """An action that turns around: q alone, 4 ms x 2 rad/s further at every physics step."""
+    base = make_base(num_envs=1)
+    transform = JointVelocityTarget(base, limit=2.0, feedforward=False)
+    action = torch.zeros(1, 2, 20)
+    action[0, :, SHOULDER] = torch.tensor([1.0, -1.0])
+    _, control = drive(transform, action)
+    way = 0.008 * torch.tensor([*range(10), *range(10, 0, -1)])
+    assert_close(control[0, :, SHOULDER], base.stand_position[SHOULDER] + way)
 
 
 def test_integrator_does_not_wind_up(make_base):
@@ -95,9 +105,7 @@ def test_servo_follows_a_moving_target_without_the_lag_of_its_damping(make_base)
         base = make_base(num_envs=1, control_dt=0.02)
         start = {"base_position": torch.tensor([[0.0, 0.0, 5.0]])}  # falls freely: no gravity
         td = base.reset(TensorDict({"start": start}, [1]))
-        transform = JointVelocityTarget(base, limit=2.0)
-        if not folded:
-            transform.time_constant = torch.zeros(20)
+        transform = JointVelocityTarget(base, limit=2.0, feedforward=folded)
         transform._reset(TensorDict(batch_size=[1]), td)
         action = torch.zeros(1, 20)
         action[0, SHOULDER] = 0.5

@@ -25,7 +25,9 @@ class JointVelocityTarget(Transform):
     so that its torque is ``stiffness (q(t) - q) + damping (v(t) - dq/dt)``, with the nominal
     gains of the compiled model. ``v(t)`` is the slope of q from this tick to the next: v, less in
     the tick in which the target meets a stop, 0 at the stop. The integrator holds the clamped
-    value, so that it leaves a stop as soon as the action turns around.
+    value, so that it leaves a stop as soon as the action turns around. Without ``feedforward``
+    the command is q(t) alone, which goes on without a jump where the action turns around; the
+    joint then follows it by damping / stiffness [s] later.
 
     Keys: reads ``action`` ``(N, J)``; writes ``target`` ``(N, J)`` [rad], where q is at the end
     of the step, also as an observation, and ``control`` ``(N, S, J)`` [rad]. After a reset the
@@ -35,13 +37,15 @@ class JointVelocityTarget(Transform):
         env: the base env.
         limit: velocity of an action of 1 [rad/s].
         rate: of the low level [Hz]; that of the physics if ``None``.
+        feedforward: whether the velocity is sent along with the position.
 
     Raises:
         ValueError: if ``limit`` is not positive, or a tick is not a whole number of physics
             steps, or a control step not one of ticks.
 
-    Source: velocities integrated into position targets: Ferigo et al., "On the emergence of
-    whole-body strategies from humanoid robot push-recovery learning", RA-L 2021; consistent
+    Source: velocities integrated into position targets, and these alone: Ferigo et al., "On the
+    emergence of whole-body strategies from humanoid robot push-recovery learning", RA-L 2021,
+    section IV-A; consistent
     position and velocity at a low level's rate: Duburcq et al., "Reactive stepping for humanoid
     robots using reinforcement learning", IROS 2022, section IV. The velocity goes through the
     position command, as these servos take nothing else.
@@ -52,7 +56,14 @@ class JointVelocityTarget(Transform):
     time: Tensor
     position: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, limit: float, rate: float | None = None):
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        limit: float,
+        rate: float | None = None,
+        feedforward: bool = True,
+    ):
         super().__init__(in_keys_inv=["target", "control"], out_keys_inv=["action"])
         if not limit > 0:
             raise ValueError(f"limit must be positive, got {limit}.")
@@ -69,7 +80,8 @@ class JointVelocityTarget(Transform):
         self.hold = fitting[0] if fitting else 1  # physics steps of a tick
         self.tick = self.hold * env.physics_dt
         self.register_buffer("range", env.joint_range)
-        self.register_buffer("time_constant", env.servo_time_constant)
+        lead = env.servo_time_constant
+        self.register_buffer("time_constant", lead if feedforward else torch.zeros_like(lead))
         ticks = env.substeps // self.hold
         self.register_buffer("time", self.tick * torch.arange(ticks + 1)[:, None])
         self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
