@@ -39,7 +39,7 @@ def trace_plot(
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
     title = f"{joint}; the push is shaded" if push[1] > push[0] else f"{joint}; no push"
-    panels[0].set_title(title, fontsize=8)
-    panels[0].legend(fontsize=7)
+    panels[0].set_title(title, fontsize=8, loc="left")
+    panels[0].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
     panels[-1].set_xlabel("time [s]", fontsize=8)
     figure.savefig(path, dpi=300)
