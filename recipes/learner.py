@@ -1,7 +1,6 @@
 """Env, actor, critic and optimizer of one run, and what an update does with them."""
 
 import inspect
-import math
 from typing import Any
 
 import torch
@@ -18,7 +17,7 @@ from torchrl.objectives.value import GAE
 
 from recipes.averaging import moving_average
 from recipes.digests import weights_digest
-from recipes.ranges import check_ranges
+from recipes.ranges import check_finite, check_ranges
 from recipes.tested import read_teacher
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
@@ -112,6 +111,11 @@ class Learner:
                 )
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
+        if self.scheduler and "kl" not in inspect.signature(self.scheduler.step).parameters:
+            raise ValueError(
+                "scheduler must follow the KL divergence, torchrl.objectives.KLAdaptiveLR or one "
+                f"with step(kl), or be null; got {cfg.scheduler._target_}."
+            )
         inputs = ["observation", "observation_critic", "is_init", *hidden]
         self._learned = [*inputs, "action", "action_log_prob"]
         wanted = [key for loss in self.auxiliary for key in loss.in_keys]
@@ -200,11 +204,10 @@ class Learner:
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
         if not self._recurrent:
             data = data.reshape(-1)  # else a minibatch holds whole sequences
-        size = -(-len(data) // cfg.minibatches)
         passes = 0
         for _ in range(cfg.epochs):
-            passes, outputs = passes + 1, []
-            for rows in torch.randperm(len(data)).split(size):
+            passes, outputs, drawn = passes + 1, [], []
+            for rows in torch.randperm(len(data)).tensor_split(cfg.minibatches):
                 part = data[rows]
                 if self.augmentation is not None:
                     part = self.augmentation(part)
@@ -216,25 +219,23 @@ class Learner:
                     out.update(auxiliary(some))
                 total = sum(value for key, value in out.items() if key.startswith("loss_"))
                 total.backward()
-                clip_grad_norm_(self.parameters, cfg.max_grad_norm)
+                norm = clip_grad_norm_(self.parameters, cfg.max_grad_norm)
+                outputs.append({key: value.detach().mean() for key, value in out.items()})
+                check_finite(outputs[-1] | {"loss gradient": norm}, self.updates + 1)
                 self.optimizer.step()
                 self.optimizer.zero_grad()
-                outputs.append({key: value.detach().mean() for key, value in out.items()})
-            divergence = torch.stack([out["kl"] for out in outputs]).mean()
+                drawn.append(part.numel() - int(part.get("mirrored", torch.zeros(1)).sum()))
+            shares = torch.tensor(drawn) / sum(drawn) if any(drawn) else torch.zeros(len(drawn))
+            divergence = float(shares @ torch.stack([out["kl"] for out in outputs]))
             if cfg.loss.kl_stop is not None and divergence > cfg.loss.kl_stop:
                 break
         means = {k: torch.stack([out[k] for out in outputs]).mean().item() for k in outputs[0]}
-        for key, value in means.items():
-            if key.startswith("loss_") and not math.isfinite(value):
-                raise ValueError(
-                    f"{key} must stay finite, got {value} in update {self.updates + 1}; "
-                    "checkpoints written before are sound."
-                )
         del means["kl_approx"]  # the same with more noise, TorchRL's
-        means["passes"] = passes
-        if self.scheduler is not None:
-            self.scheduler.step(max(means["kl"], 1e-6))
-        self.loss.adapt(means["kl"])
+        means |= {"kl": divergence, "passes": passes}
+        if any(drawn) and cfg.epochs * cfg.minibatches > 1:  # before the only step it is 0
+            if self.scheduler is not None:
+                self.scheduler.step(max(divergence, 1e-6))
+            self.loss.adapt(divergence)
         of_actor, of_critic = normalizer_of(self.actor), normalizer_of(self.critic)
         if of_actor is not None:
             of_actor.update(batch["observation"])

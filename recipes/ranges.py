@@ -1,9 +1,11 @@
 """The numbers of a training, each in its range."""
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 from omegaconf import DictConfig
+from torch import Tensor
 
 _COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 
@@ -33,7 +35,7 @@ def check_ranges(cfg: DictConfig) -> None:
 def _check_loss(loss: DictConfig) -> None:
     for key in ("gamma", "lmbda"):
         check_number(loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
-    check_number(loss.clip_epsilon, "loss.clip_epsilon", lambda x: x > 0, "be positive")
+    check_number(loss.clip_epsilon, "loss.clip_epsilon", lambda x: 0 < x <= 1, "lie in (0, 1]")
     for key in ("critic_coeff", "entropy_coeff", "kl_coeff"):
         check_number(loss[key], f"loss.{key}", lambda x: x >= 0, "not be negative")
     for key in ("kl_stop", "kl_target", "value_clip", "value_error_clip"):
@@ -44,6 +46,20 @@ def _check_loss(loss: DictConfig) -> None:
             "loss.normalize_advantage must be minibatch, batch or null, "
             f"got {loss.normalize_advantage}."
         )
+
+
+def check_finite(values: dict[str, Tensor], update: int) -> None:
+    """Refuses losses, and what of them is called so, that are no numbers.
+
+    Raises:
+        ValueError: naming the first.
+    """
+    for key, value in values.items():
+        if key.startswith("loss") and not math.isfinite(value):
+            raise ValueError(
+                f"{key} must stay finite, got {value.item()} in update {update}; checkpoints "
+                "written before are sound."
+            )
 
 
 def _check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:

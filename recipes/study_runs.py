@@ -3,7 +3,7 @@
 import os
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pandas as pd
 import torch
@@ -100,12 +100,14 @@ def tested(run: Run, test: Test, runs: Path) -> tuple[DictConfig, torch.nn.Modul
         role, other = run.beside
         if other == SCRIPT:
             size = instantiate(own_cfg, base_env={"num_envs": 1}).action_spec.shape[-1]
-            second: Any = StillActor(size)
+            other_cfg, second = own_cfg, cast(torch.nn.Module | None, StillActor(size))
         else:
             name = other if isinstance(other, str) else str(run_folder(runs, other))
-            _, second = load_run(LATEST, name)
-        parts = {"recover": actor, "kneel": actor} | {role: second}
-        actor = SwitchedActor(parts["recover"], parts["kneel"])
+            other_cfg, second = load_run(LATEST, name)
+        parts: dict[str, Any] = {"recover": actor, "kneel": actor} | {role: second}
+        kneel_cfg = other_cfg if role == "kneel" else own_cfg
+        begins = OmegaConf.select(kneel_cfg, "transforms.mode.initial") == "kneel"
+        actor = SwitchedActor(parts["recover"], parts["kneel"], begins=begins)
     return in_test(test, own_cfg), actor
 
 

@@ -74,6 +74,8 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     state = SwitchedActor(*actors).state_dict()
     actor_cfg = {"_target_": "zfall.modules.switched.switched_actor", "_recursive_": False}
     actor_cfg |= actor_cfgs
+    if "kneel" in names and last.transforms.mode.initial == "kneel":
+        actor_cfg["begins"] = True
     config = OmegaConf.create({"env": env_cfg, "actor": actor_cfg, "num_envs": 1})
     return {
         "config": OmegaConf.to_yaml(config, resolve=True),

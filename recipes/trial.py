@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from tensordict import TensorDictBase
 
+from recipes.results import labels
 from recipes.tested import Tested
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, run_battery
@@ -34,9 +35,10 @@ def show_trial(
         row, rows = run_trial(battery, each, cfg, console)
         joint = str(cfg.joint)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
-        traces[Path(each.name).name] = rows.rename(columns=renamed)
+        traces[each.name] = rows.rename(columns=renamed)
         if battery.interval is None and row["impulse"] > 0:
             push = (battery.push_time, battery.push_time + row["duration_s"])
+    traces = dict(zip(labels(list(traces)), traces.values(), strict=True))
     for ending in ("png", "pdf"):
         path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
         trace_plot(traces, path, joint=joint, push=push)

@@ -8,6 +8,7 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from recipes.learner import Learner
+from zfall.losses.burn_in import burnt_in
 from zfall.modules.actors import normalizer_of
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
@@ -181,6 +182,105 @@ def test_a_loss_that_is_no_number_ends_the_training(compose_config):
         learner.learn(learner.collect())
 
 
+def test_a_gradient_that_is_no_number_is_not_taken(compose_config):
+    """Of a loss that is one: d sqrt(x) / dx at 0, times 0."""
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1")
+    learner = Learner(compose_config(*sizes))
+    weights = learner.parameters[0]
+    before = [parameter.detach().clone() for parameter in learner.parameters]
+    learner.auxiliary = [lambda _: TensorDict({"loss_broken": (0.0 * weights.sum()).sqrt()})]
+    with pytest.raises(ValueError, match="loss gradient must stay finite, got nan in update 1"):
+        learner.learn(learner.collect())
+    for parameter, value in zip(learner.parameters, before, strict=True):
+        assert torch.equal(parameter, value)
+
+
+def test_minibatches_are_as_many_as_asked_and_as_equal_as_can_be(compose_config, monkeypatch):
+    """12 sequences in 8 minibatches: four of two and four of one."""
+    learner = Learner(
+        compose_config("num_envs=12", "rollout_steps=2", "actor=gru_mog", "minibatches=8", "epochs=1")
+    )  # fmt: skip
+    sizes: list[int] = []
+    forward = learner.loss.forward
+
+    def counting(part):
+        sizes.append(len(part))
+        return forward(part)
+
+    monkeypatch.setattr(learner.loss, "forward", counting)
+    learner.learn(learner.collect())
+    assert sorted(sizes) == [1, 1, 1, 1, 2, 2, 2, 2]
+
+
+def test_the_divergence_before_the_only_step_of_an_update_moves_nothing(compose_config):
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1")
+    learner = Learner(compose_config(*sizes, "loss.kl_coeff=0.2", "loss.kl_target=0.01"))
+    rate = learner.optimizer.param_groups[0]["lr"]
+    for _ in range(3):
+        learner.learn(learner.collect())
+    assert learner.optimizer.param_groups[0]["lr"] == rate
+    assert learner.loss.kl_coeff.item() == pytest.approx(0.2)
+
+
+def test_divergence_counts_what_was_drawn(compose_config, monkeypatch):
+    """Of two minibatches the first is of mirrored samples, of which nothing is known."""
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=2")
+    learner = Learner(compose_config(*sizes))
+    known: list[float] = []
+    forward = learner.loss.forward
+
+    def marked(part):
+        return part.set("mirrored", torch.full(part.shape, not known))
+
+    def recording(part):
+        out = forward(part)
+        known.append(out["kl"].item())
+        return out
+
+    learner.augmentation = marked
+    monkeypatch.setattr(learner.loss, "forward", recording)
+    out = learner.learn(learner.collect())
+    assert known[0] == 0.0
+    assert out["kl"] == pytest.approx(known[1])
+    assert known[1] > 1e-6
+
+
+def test_a_scheduler_that_follows_something_else_is_refused(compose_config):
+    """It would be driven with the divergence for its clock."""
+    linear = "{_target_:torch.optim.lr_scheduler.LinearLR,total_iters:400}"
+    with pytest.raises(ValueError, match=r"scheduler must follow the KL divergence.*LinearLR"):
+        Learner(compose_config("num_envs=4", "~scheduler", f"+scheduler={linear}"))
+
+
+def test_burnt_in_sequences_are_what_is_learned_from(compose_config, monkeypatch):
+    """After the augmentation, and before all losses."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=6", "actor=gru_mog", "critic=gru", "burn_in=2",
+                       "symmetry=augmentation", "caps=atalante")
+    )  # fmt: skip
+    shortened, learned = [], []
+    forward = learner.loss.forward
+
+    def cutting(part, modules, cut):
+        assert part.shape[1] == 6
+        assert "mirrored" in part.keys()
+        assert cut == 2
+        shortened.append(burnt_in(part, modules, cut))
+        return shortened[-1]
+
+    def learning(part):
+        learned.append(part)
+        return forward(part)
+
+    monkeypatch.setattr("recipes.learner.burnt_in", cutting)
+    monkeypatch.setattr(learner.loss, "forward", learning)
+    learner.learn(learner.collect())
+    assert len(learned) == 5 * 2
+    assert all(
+        part is cut and part.shape[1] == 4 for part, cut in zip(learned, shortened, strict=True)
+    )
+
+
 def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_config):
     learner = Learner(compose_config("num_envs=6"))
     learner.collect()
@@ -256,16 +356,18 @@ def test_a_shared_normaliser_counts_every_observation_once(compose_config):
 
 
 def test_passes_end_when_the_policy_has_moved_far_enough(compose_config):
-    """A bound that the first pass exceeds, one that none does, and one in between."""
-    passes, kl = {}, {}
-    for stop in (1e-9, 1e9):
-        learner = Learner(compose_config("num_envs=16", "rollout_steps=8", f"loss.kl_stop={stop}"))
-        out = learner.learn(learner.collect())
-        passes[stop], kl[stop] = out["passes"], out["kl"]
-    assert passes == {1e-9: 1, 1e9: 5}
-    between = (kl[1e-9] + kl[1e9]) / 2
-    learner = Learner(compose_config("num_envs=16", "rollout_steps=8", f"loss.kl_stop={between}"))
-    assert 1 < learner.learn(learner.collect())["passes"] <= 5
+    """The first pass whose divergence, known from trainings of so many passes, is above it."""
+    sizes = ("num_envs=16", "rollout_steps=8")
+    kl = []
+    for epochs in range(1, 6):
+        learner = Learner(compose_config(*sizes, f"epochs={epochs}"))
+        kl.append(learner.learn(learner.collect())["kl"])
+    between = (kl[0] + max(kl)) / 2
+    expected = next(i for i, value in enumerate(kl, 1) if value > between)
+    assert 1 < expected < 5  # so that neither bound of the passes gives it
+    for stop, passes in ((1e-9, 1), (between, expected), (1e9, 5)):
+        learner = Learner(compose_config(*sizes, f"loss.kl_stop={stop}"))
+        assert learner.learn(learner.collect())["passes"] == passes
 
 
 @pytest.mark.parametrize("over", ["batch", "minibatch", "null"])

@@ -1,5 +1,6 @@
 """Two policies that are switched by the mode."""
 
+import torch
 from omegaconf import OmegaConf
 
 from tests.shell import run
@@ -8,17 +9,26 @@ from zfall import checkpoint
 
 def test_two_policies_are_switched_by_the_mode(tmp_path):
     common = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
-    for name in ("recover", "kneel"):
-        done = run(
-            "train", f"experiment=push_to_kneel_{name}", *common, f"hydra.run.dir={tmp_path}/{name}"
-        )
+    for seed, name in enumerate(("recover", "kneel")):
+        own = [f"experiment=push_to_kneel_{name}", f"seed={seed}"]
+        done = run("train", *own, *common, f"hydra.run.dir={tmp_path}/{name}")
         assert done.returncode == 0, done.stderr
     both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
     change = 'change=["transforms.mode.probability=0.9"]'
     done = run("switch", *both, change, f"hydra.run.dir={tmp_path}/both")
     assert done.returncode == 0, done.stderr
-    config = checkpoint.load(tmp_path / "both" / "checkpoints" / "last.pt")["config"]
-    assert OmegaConf.create(config).env.transforms.mode.probability == 0.9
+    parts = {
+        name: checkpoint.load(tmp_path / name / "checkpoints" / "last.pt")
+        for name in ("recover", "kneel", "both")
+    }
+    config = OmegaConf.create(parts["both"]["config"])
+    assert config.env.transforms.mode.probability == 0.9
+    assert config.actor.begins  # as its episodes do
+    for name in ("recover", "kneel"):
+        for key, value in parts[name]["policy"].items():
+            assert torch.equal(parts["both"]["policy"][f"{name}.{key}"], value)
+    key = next(key for key in parts["kneel"]["policy"] if key.endswith("mean.weight"))
+    assert not torch.equal(parts["recover"]["policy"][key], parts["kneel"]["policy"][key])
     kneel = ["battery=kneel", "impulses=[1.0]", "directions=2", "starts=1", "force_starts=1"]
     done = run(
         "evaluate",

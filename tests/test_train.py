@@ -51,7 +51,7 @@ BAD = [
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
     (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
-    (["loss.clip_epsilon=abc"], "loss.clip_epsilon must be positive, got abc"),
+    (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
     (["optimizer=null"], "optimizer must name one"),
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
     (["optimizer.lr=abc"], "optimizer.lr must not be negative, got abc"),

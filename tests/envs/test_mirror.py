@@ -103,15 +103,19 @@ def test_a_turned_vector_in_the_mirror_is_the_mirrored_one_turned_there():
 
 
 def test_vector_in_units_of_its_ranges():
-    """A left knee at one tenth of its range is a right knee at one tenth of its own."""
-    low, high = torch.full((20,), -1.0), torch.full((20,), 3.0)
+    """Joints of ranges of their own, onto [-1, 1]: out of there, mirrored, cut, and back."""
+    low, high = -1.0 - 0.1 * torch.arange(20), 0.5 + 0.2 * torch.arange(20).flip(0)
+    factor = 2.0 / (high - low)
+    summand = -1.0 - factor * low
     ranges = torch.stack([low, high], -1)
-    mirror = mirror_vector(
-        ZEROTH01, {"joint_position": slice(0, 20)}, ranges, {"joint_position": (0.5, -0.5)}
-    )
-    joints = 0.9 * torch.rand(5, 20) * torch.tensor(ZEROTH01.mirror_sign).clamp_min(0)
-    expected = (0.5 * reflect("joint_position", joints) - 0.5).clamp(-1.0, 1.0)
-    assert_close(mirror(0.5 * joints - 0.5), expected)
+    affine = {"joint_position": (factor, summand)}
+    mirror = mirror_vector(ZEROTH01, {"joint_position": slice(0, 20)}, ranges, affine)
+    joints = low + (high - low) * torch.rand(50, 20)
+    image = reflect("joint_position", joints)
+    cut = (image < low) | (image > high)
+    assert 0.1 < cut.float().mean() < 0.7
+    expected = factor * torch.clamp(image, low, high) + summand
+    assert_close(mirror(factor * joints + summand), expected, atol=1e-5, rtol=0)
 
 
 def test_angles_stay_in_the_range_of_the_other_side():

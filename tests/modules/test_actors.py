@@ -250,6 +250,23 @@ def test_deviation_stays_between_floor_and_cap(components):
     assert std.max().item() == pytest.approx(0.4, abs=1e-4)
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_deviation_of_a_mixture_at_its_cap_comes_back_but_goes_no_further(shared):
+    spec, action_spec = specs()
+    actor = mlp_actor(
+        spec, action_spec, components=3, shared_components=shared, std=0.3, std_range=[0.2, 0.4]
+    )
+    td = TensorDict({"observation": torch.randn(3, 50)}, batch_size=[3])
+    head = actor[0].module[-1]
+    raw = head.linear.bias.data.view(head.shape)[1]
+    raw.fill_(math.log(math.expm1(0.6 - 0.2)))  # softplus gives 0.6 over the floor
+    for sign, moves in ((1.0, True), (-1.0, False)):
+        scale = actor[0](td)["scale"]
+        assert torch.allclose(scale, torch.tensor(0.4))
+        (gradient,) = torch.autograd.grad(sign * scale.sum(), head.linear.bias)
+        assert bool((gradient.view(head.shape)[1] != 0).all()) is moves
+
+
 @pytest.mark.parametrize(("start", "bound"), [(0.6, 0.4), (0.1, 0.2)])
 def test_a_deviation_at_its_bound_comes_back_but_goes_no_further(start, bound):
     spec, action_spec = specs()

@@ -42,6 +42,28 @@ def test_one_may_have_a_memory_and_both_may_not(env):
         SwitchedActor(actor.recover, actor.recover)
 
 
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_memory_for_kneeling_begins_with_it_or_before(env, begins):
+    """World 0 recovers, then kneels; what it does then is what a new memory would, or is not."""
+    torch.manual_seed(0)
+    actor = switched_actor(*specs(env), recover=MLP, kneel=GRU, begins=begins)
+    size = env.observation_spec["observation"].shape[-1]
+    key = "recurrent_state_actor"
+    td = TensorDict({"observation": torch.randn(3, size), "mode": torch.eye(3),
+                     "is_init": torch.zeros(3, 1, dtype=torch.bool)}, batch_size=[3])  # fmt: skip
+    new = torch.zeros(3, 1, 8)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        after = actor(td.clone().set(key, new))["next", key]
+        assert after[1:].abs().amax((1, 2)).min() > 0
+        assert bool((after[0] == 0).all()) is begins
+        td["observation"] = torch.randn(3, size)
+        td["mode"] = torch.eye(3)[[1, 1, 1]]
+        action = actor(td.clone().set(key, after))["action"]
+        fresh = actor.kneel(td.clone().set(key, new))["action"]
+    assert torch.equal(action[0], fresh[0]) is begins
+    assert not torch.equal(action[1], fresh[1])
+
+
 def test_who_leaves_the_way_down_to_the_script_does_nothing(env):
     still = {"_target_": "zfall.modules.switched.still_actor"}
     actor = switched_actor(*specs(env), recover=MLP, kneel=still)

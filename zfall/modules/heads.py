@@ -83,7 +83,8 @@ class GaussianHead(nn.Module):
 class MixtureHead(nn.Module):
     """Three numbers per component and joint: mean, raw standard deviation, logit.
 
-    ``std = min(softplus(raw) + floor, cap)``, with the ``std_range`` (floor, cap).
+    ``std = min(softplus(raw) + floor, cap)``, with the ``std_range`` (floor, cap); at the cap a
+    gradient that leads back is let through.
 
     Args:
         size: length of the features.
@@ -121,7 +122,8 @@ class MixtureHead(nn.Module):
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """``logits``, ``loc`` and ``scale`` ``(*B, J, K)``."""
         loc, raw, logits = self.linear(features).unflatten(-1, self.shape).unbind(-3)
-        scale = (nn.functional.softplus(raw) + self.min_std).clamp_max(self.max_std)
+        scale = nn.functional.softplus(raw) + self.min_std
+        scale = _Bounded.apply(scale, self.min_std, self.max_std)
         return logits, loc, scale
 
 
@@ -171,7 +173,8 @@ class SharedMixtureHead(nn.Module):
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """``logits`` ``(*B, K)``, ``loc`` and ``scale`` ``(*B, K, J)``."""
         loc, raw = self.linear(features).unflatten(-1, self.shape).unbind(-3)
-        scale = (nn.functional.softplus(raw) + self.min_std).clamp_max(self.max_std)
+        scale = nn.functional.softplus(raw) + self.min_std
+        scale = _Bounded.apply(scale, self.min_std, self.max_std)
         return self.logits(features), loc, scale
 
 

@@ -19,12 +19,14 @@ class SwitchedActor(TensorDictModuleBase):
     Args:
         recover: the policy of mode RECOVER.
         kneel: that of the others.
+        begins: whether the memory of the one that kneels begins when it takes over, as in a
+            training whose episodes begin in KNEEL; else it remembers what came before.
 
     Raises:
         ValueError: if both have a memory: they would share its key.
     """
 
-    def __init__(self, recover: Any, kneel: Any):
+    def __init__(self, recover: Any, kneel: Any, *, begins: bool = False):
         super().__init__()
         memories = [
             [key for key in actor.in_keys if str(key).startswith("recurrent_state")]
@@ -32,21 +34,24 @@ class SwitchedActor(TensorDictModuleBase):
         ]
         if all(memories):
             raise ValueError("recover and kneel must not both have a memory, got two GRUs.")
-        self.recover, self.kneel = recover, kneel
+        self.recover, self.kneel, self.begins = recover, kneel, begins
         self.in_keys = list(dict.fromkeys([*recover.in_keys, *kneel.in_keys, "mode"]))
         others = [key for key in (*recover.out_keys, *kneel.out_keys) if isinstance(key, tuple)]
         self.out_keys = ["action", *dict.fromkeys(others)]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action."""
-        actions = []
+        actions, recovers = [], tensordict["mode"][..., :1] > 0
         for actor in (self.recover, self.kneel):
             out = actor(tensordict.select(*actor.in_keys, strict=False))
             actions.append(out["action"])
             for key in self.out_keys[1:]:
-                if key in out.keys(True):
-                    tensordict[key] = out[key]
-        recovers = tensordict["mode"][..., :1] > 0
+                if key not in out.keys(True):
+                    continue
+                tensordict[key] = out[key]
+                if self.begins and actor is self.kneel:
+                    rows = recovers.view(*recovers.shape, *[1] * (out[key].ndim - recovers.ndim))
+                    tensordict[key] = out[key].masked_fill(rows, 0.0)
         return tensordict.set("action", torch.where(recovers, *actions))
 
 
@@ -56,10 +61,11 @@ def switched_actor(
     *,
     recover: Mapping[str, Any],
     kneel: Mapping[str, Any],
+    begins: bool = False,
 ) -> SwitchedActor:
     """Both policies from their configs; they read the same ``observation``."""
     actors = [instantiate(config, observation_spec, action_spec) for config in (recover, kneel)]
-    return SwitchedActor(*actors)
+    return SwitchedActor(*actors, begins=begins)
 
 
 class StillActor(TensorDictModuleBase):
