@@ -79,9 +79,11 @@ def success_map(
         ["forward", "", "left", "", "backward", "", "right", ""],
     )
     ticks = [tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < reach]
-    rim = [Stroke(linewidth=2.5, foreground="black"), Normal()]  # read on yellow as well
-    axes.set_yticks(ticks, [f"I = {tick}" for tick in ticks], path_effects=rim)
-    axes.tick_params(axis="y", colors="white", labelsize=8)
+    axes.set_yticks([])
+    box = {"facecolor": "0.2", "edgecolor": "none", "pad": 1.0}  # reads on yellow and over lines
+    for tick in ticks:
+        at = (np.deg2rad(22.5), tick)
+        axes.text(*at, f"I = {tick}", color="white", fontsize=7, ha="center", bbox=box, zorder=10)
     axes.set_title(title, fontsize=10)
     axes.legend(
         loc="upper center",
