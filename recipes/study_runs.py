@@ -3,7 +3,6 @@
 import os
 import shutil
 from pathlib import Path
-from typing import Any, cast
 
 import pandas as pd
 import torch
@@ -14,7 +13,7 @@ from rich.console import Console
 
 from recipes.one_line import in_one_line
 from recipes.study_plan import SCRIPT, Run, Test, battery_of, in_test, run_folder, shown
-from recipes.tested import load_run
+from recipes.tested import begins_kneeling, load_run
 from recipes.train import run_training
 from zfall.evaluation.ablation import kneel_figures, planar_figures
 from zfall.evaluation.battery import run_battery
@@ -98,16 +97,16 @@ def tested(run: Run, test: Test, runs: Path) -> tuple[DictConfig, torch.nn.Modul
     assert actor is not None  # a run folder holds a policy
     if run.beside is not None:
         role, other = run.beside
+        second: torch.nn.Module | None
         if other == SCRIPT:
             size = instantiate(own_cfg, base_env={"num_envs": 1}).action_spec.shape[-1]
-            other_cfg, second = own_cfg, cast(torch.nn.Module | None, StillActor(size))
+            other_cfg, second = own_cfg, StillActor(size)
         else:
             name = other if isinstance(other, str) else str(run_folder(runs, other))
             other_cfg, second = load_run(LATEST, name)
-        parts: dict[str, Any] = {"recover": actor, "kneel": actor} | {role: second}
-        kneel_cfg = other_cfg if role == "kneel" else own_cfg
-        begins = OmegaConf.select(kneel_cfg, "transforms.mode.initial") == "kneel"
-        actor = SwitchedActor(parts["recover"], parts["kneel"], begins=begins)
+        recover, kneel = (actor, second) if role == "kneel" else (second, actor)
+        begins = begins_kneeling(other_cfg if role == "kneel" else own_cfg)
+        actor = SwitchedActor(recover, kneel, begins=begins)
     return in_test(test, own_cfg), actor
 
 

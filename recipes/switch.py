@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.tested import INTERFACE, changed, check_same_interface, checkpoint_of
+from recipes.tested import INTERFACE, begins_kneeling, changed, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 from zfall.modules.switched import SwitchedActor, still_actor
@@ -74,7 +74,7 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     state = SwitchedActor(*actors).state_dict()
     actor_cfg = {"_target_": "zfall.modules.switched.switched_actor", "_recursive_": False}
     actor_cfg |= actor_cfgs
-    if "kneel" in names and last.transforms.mode.initial == "kneel":
+    if "kneel" in names and begins_kneeling(last):
         actor_cfg["begins"] = True
     config = OmegaConf.create({"env": env_cfg, "actor": actor_cfg, "num_envs": 1})
     return {

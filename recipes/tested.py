@@ -145,6 +145,11 @@ def held(env_cfg: DictConfig) -> DictConfig:
 INTERFACE = ("action", "observation")  # transforms by which a policy acts and sees
 
 
+def begins_kneeling(env_cfg: DictConfig) -> bool:
+    """Whether episodes of a training begin in mode KNEEL, and so the memory of its policy."""
+    return bool(OmegaConf.select(env_cfg, "transforms.mode.initial") == "kneel")
+
+
 def check_same_interface(configs: dict[str, DictConfig]) -> None:
     """Refuses policies, by name the config of each, that do not see or do the same.
 

@@ -45,10 +45,9 @@ class JointVelocityTarget(Transform):
 
     Source: velocities integrated into position targets, and these alone: Ferigo et al., "On the
     emergence of whole-body strategies from humanoid robot push-recovery learning", RA-L 2021,
-    section IV-A; consistent
-    position and velocity at a low level's rate: Duburcq et al., "Reactive stepping for humanoid
-    robots using reinforcement learning", IROS 2022, section IV. The velocity goes through the
-    position command, as these servos take nothing else.
+    section IV-A; consistent position and velocity at a low level's rate: Duburcq et al.,
+    "Reactive stepping for humanoid robots using reinforcement learning", IROS 2022, section IV.
+    The velocity goes through the position command, as these servos take nothing else.
     """
 
     range: Tensor
