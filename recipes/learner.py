@@ -122,7 +122,7 @@ class Learner:
         self._learned += [key for key in dict.fromkeys(wanted) if key not in self._learned]
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
         flags += ["episode_reward", "step_count", "diverged"]
-        after = [("next", key) for key in [*inputs, *flags]]
+        after = [("next", key) for key in [*self.critic.in_keys, *flags]]
         self._stored = [*self._learned, "state_value", *after]
         self._recurrent = bool(hidden)
         samples = cfg.num_envs * (1 if hidden else cfg.rollout_steps)

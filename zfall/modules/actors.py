@@ -7,8 +7,9 @@ from typing import Any
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite
-from torchrl.modules import GRUModule, ProbabilisticActor
+from torchrl.modules import ProbabilisticActor
 
+from zfall.modules.gru import StackedGRU
 from zfall.modules.heads import GaussianHead, Head, make_head
 from zfall.modules.normalization import ObservationNormalizer
 
@@ -138,21 +139,10 @@ def gru_actor(
     encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     module = TensorDictSequential(
         TensorDictModule(encoder, in_keys=["observation"], out_keys=["embedding_actor"]),
-        gru(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
+        StackedGRU(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
         TensorDictModule(out, in_keys=["features_actor"], out_keys=list(out.keys)),
     )
     return _actor(module, out, statistic)
-
-
-def gru(size: int, num_layers: int, in_key: str, out_key: str, hidden: str) -> GRUModule:
-    """Stacked GRU cells whose hidden state travels in the TensorDict."""
-    return GRUModule(
-        input_size=size,
-        hidden_size=size,
-        num_layers=num_layers,
-        in_keys=[in_key, hidden, "is_init"],
-        out_keys=[out_key, ("next", hidden)],
-    )
 
 
 def _actor(module: TensorDictModule, head: Head, statistic: str) -> ProbabilisticActor:

@@ -7,7 +7,8 @@ from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import gru, mlp_trunk, normalizer
+from zfall.modules.actors import mlp_trunk, normalizer
+from zfall.modules.gru import StackedGRU
 from zfall.modules.normalization import ObservationNormalizer
 
 _HIDDEN = "recurrent_state_critic"
@@ -85,7 +86,7 @@ def gru_critic(
     encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     critic = TensorDictSequential(
         TensorDictModule(encoder, in_keys=["observation_critic"], out_keys=["embedding_critic"]),
-        gru(hidden_size, num_layers, "embedding_critic", "features_critic", _HIDDEN),
+        StackedGRU(hidden_size, num_layers, "embedding_critic", "features_critic", _HIDDEN),
         ValueOperator(ValueHead(hidden_size, scale), in_keys=["features_critic"]),
     )
     critic.select_out_keys("state_value", ("next", _HIDDEN))  # the rest need not be stored

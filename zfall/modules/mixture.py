@@ -55,8 +55,7 @@ class MixtureOfGaussians(Distribution):
         # The components' axis goes in front of those that value has in front of the batch's.
         extra = value.dim() - self._loc.dim() + 1
         loc, scale, factor = (
-            x.reshape(len(x), *(1,) * extra, *x.shape[1:]) if extra else x
-            for x in (self._loc, self._scale, self._log_factor)
+            _make_room(x, extra) if extra else x for x in (self._loc, self._scale, self._log_factor)
         )
         return (value - loc) / scale, factor
 
@@ -77,19 +76,20 @@ class MixtureOfGaussians(Distribution):
         """Probability of each joint ``(..., J)`` to stay below ``value`` ``(..., J)``."""
         deviation, _ = self._deviations(value)
         extra = deviation.dim() - self._log_weight.dim()
-        weight = self._log_weight.exp()
-        weight = weight.reshape(len(weight), *(1,) * extra, *weight.shape[1:])
+        weight = _make_room(self._log_weight.exp(), extra)
         return (weight * torch.special.ndtr(deviation)).sum(0)
 
     @torch.no_grad()
     def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
-        """Draws ``(*sample_shape, *B, J)``; the component by the Gumbel-max trick."""
-        shape = torch.Size(sample_shape) + self.loc.shape
-        gumbel = torch.empty(shape, dtype=self.loc.dtype, device=self.loc.device)
-        gumbel = -gumbel.exponential_().log()
-        index = (self._log_weight.movedim(0, -1) + gumbel).argmax(-1, keepdim=True)
-        loc = self.loc.expand(shape).gather(-1, index).squeeze(-1)
-        scale = self.scale.expand(shape).gather(-1, index).squeeze(-1)
+        """Draws ``(*sample_shape, *B, J)``; the component by inversion of its distribution."""
+        shape = torch.Size(sample_shape) + self.loc.shape[:-1]
+        share = torch.rand(shape, dtype=self.loc.dtype, device=self.loc.device)
+        below, loc, scale = (
+            _make_room(x, len(sample_shape)).expand(len(x), *shape)
+            for x in (self._log_weight.exp().cumsum(0), self._loc, self._scale)
+        )
+        index = (share >= below[:-1]).sum(0, keepdim=True)  # never one after the last
+        loc, scale = (x.gather(0, index).squeeze(0) for x in (loc, scale))
         return loc + scale * torch.randn_like(loc)
 
     def rsample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
@@ -183,6 +183,11 @@ class MixtureOfGaussians(Distribution):
 
 
 register_kl(MixtureOfGaussians, MixtureOfGaussians)(MixtureOfGaussians.kl)
+
+
+def _make_room(value: Tensor, extra: int) -> Tensor:
+    """``(K, *B, J)`` with so many axes of length 1 behind the components'."""
+    return value.reshape(len(value), *(1,) * extra, *value.shape[1:])
 
 
 @torch.no_grad()

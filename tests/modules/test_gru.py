@@ -1,0 +1,103 @@
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.testing import assert_close
+from torchrl.modules import set_recurrent_mode
+
+from zfall.modules.gru import StackedGRU
+
+SIZE, LAYERS, ROWS, STEPS = 5, 3, 7, 9
+
+
+@pytest.fixture
+def module() -> StackedGRU:
+    torch.manual_seed(0)
+    return StackedGRU(SIZE, LAYERS, "features", "out", "memory").double()
+
+
+@pytest.fixture
+def batch() -> TensorDict:
+    """Sequences within which episodes begin, of one row in every step and of another in none."""
+    torch.manual_seed(1)
+    begins = torch.rand(ROWS, STEPS, 1) < 0.25
+    begins[0], begins[1] = True, False
+    return TensorDict(
+        {
+            "features": torch.randn(ROWS, STEPS, SIZE, dtype=torch.float64),
+            "memory": torch.randn(ROWS, STEPS, LAYERS, SIZE, dtype=torch.float64),
+            "is_init": begins,
+        },
+        [ROWS, STEPS],
+    )
+
+
+def by_torch(module: StackedGRU, batch: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
+    """Features, and memories after each step, of ``torch.nn.GRU`` one row and step at a time."""
+    outs, afters = [], []
+    for row in range(ROWS):
+        memory = batch["memory"][row, 0]
+        for step in range(STEPS):
+            if batch["is_init"][row, step]:
+                memory = batch["memory"][row, step]
+            out, memory = module.gru(batch["features"][row, step][None], memory)
+            outs.append(out[0])
+            afters.append(memory)
+    return (torch.stack(x).unflatten(0, (ROWS, STEPS)) for x in (outs, afters))
+
+
+def test_sequences_and_their_gradients_are_those_of_torch(module, batch):
+    weight = torch.randn(2, ROWS, STEPS, LAYERS, SIZE, dtype=torch.float64)
+    results = []
+    for ours in (True, False):
+        data = batch.clone()
+        features = data["features"].requires_grad_()
+        if ours:
+            with set_recurrent_mode(True):
+                out = module(data)
+            out, after = out["out"], out["next", "memory"]
+        else:
+            out, after = by_torch(module, data)
+        module.zero_grad()
+        (out * weight[0, :, :, 0]).sum().add((after.sin() * weight[1]).sum()).backward()
+        gradients = [p.grad.clone() for p in module.parameters()]
+        results.append([out, after, features.grad, *gradients])
+    for ours, theirs in zip(*results, strict=True):
+        assert theirs.abs().max() > 0.1
+        assert_close(ours, theirs, atol=1e-12, rtol=1e-12)
+
+
+def test_gradient_is_that_of_finite_differences(module, batch):
+    small = batch[:3, :4]
+
+    def features(value: torch.Tensor, *_: torch.Tensor) -> torch.Tensor:
+        with set_recurrent_mode(True):
+            return module(small.copy().set("features", value))["out"]
+
+    value = small["features"].clone().requires_grad_()
+    assert torch.autograd.gradcheck(features, (value, *module.parameters()))
+
+
+@pytest.mark.parametrize("shape", [(STEPS,), (ROWS, STEPS), (1, ROWS, STEPS)])
+def test_any_number_of_axes_in_front_of_time(module, batch, shape):
+    rows = batch[0] if len(shape) == 1 else batch
+    with set_recurrent_mode(True):
+        expected = module(rows.reshape(-1, STEPS))
+        out = module(rows.reshape(shape))
+    for key, size in (("out", (SIZE,)), (("next", "memory"), (LAYERS, SIZE))):
+        assert out[key].shape == (*shape, *size)
+        assert_close(out[key].reshape(-1, STEPS, *size), expected[key])
+
+
+def test_steps_follow_sequences(module, batch):
+    """One step after the other, as when data are collected, with memories of 0 at the start."""
+    batch["memory"] = torch.zeros_like(batch["memory"])
+    with set_recurrent_mode(True):
+        expected = module(batch.clone())
+    memory = batch["memory"][:, 0]
+    for step in range(STEPS):
+        now = batch[:, step].set("memory", memory)
+        with set_recurrent_mode(False):
+            now = module(now)
+        memory = now["next", "memory"]
+        assert_close(now["out"], expected["out"][:, step])
+        assert_close(memory, expected["next", "memory"][:, step])
