@@ -6,7 +6,7 @@ from torchrl.modules import set_recurrent_mode
 
 from zfall.modules.gru import StackedGRU
 
-SIZE, LAYERS, ROWS, STEPS = 5, 3, 7, 9
+SIZE, LAYERS, ROWS, STEPS = 5, 3, 6, 9
 
 
 @pytest.fixture
@@ -31,21 +31,22 @@ def batch() -> TensorDict:
     )
 
 
-def by_torch(module: StackedGRU, batch: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
+def by_torch(module: StackedGRU, batch: TensorDict) -> tuple[torch.Tensor, ...]:
     """Features, and memories after each step, of ``torch.nn.GRU`` one row and step at a time."""
     outs, afters = [], []
-    for row in range(ROWS):
-        memory = batch["memory"][row, 0]
-        for step in range(STEPS):
-            if batch["is_init"][row, step]:
-                memory = batch["memory"][row, step]
-            out, memory = module.gru(batch["features"][row, step][None], memory)
+    for row in batch:
+        memory = row["memory"][0]
+        for step in row:
+            if step["is_init"]:
+                memory = torch.zeros_like(memory)
+            out, memory = module.gru(step["features"][None], memory)
             outs.append(out[0])
             afters.append(memory)
-    return (torch.stack(x).unflatten(0, (ROWS, STEPS)) for x in (outs, afters))
+    return tuple(torch.stack(x).unflatten(0, (ROWS, STEPS)) for x in (outs, afters))
 
 
 def test_sequences_and_their_gradients_are_those_of_torch(module, batch):
+    """Gradients by all that comes out: features, and memories of every layer and step."""
     weight = torch.randn(2, ROWS, STEPS, LAYERS, SIZE, dtype=torch.float64)
     results = []
     for ours in (True, False):
@@ -66,22 +67,11 @@ def test_sequences_and_their_gradients_are_those_of_torch(module, batch):
         assert_close(ours, theirs, atol=1e-12, rtol=1e-12)
 
 
-def test_gradient_is_that_of_finite_differences(module, batch):
-    small = batch[:3, :4]
-
-    def features(value: torch.Tensor, *_: torch.Tensor) -> torch.Tensor:
-        with set_recurrent_mode(True):
-            return module(small.copy().set("features", value))["out"]
-
-    value = small["features"].clone().requires_grad_()
-    assert torch.autograd.gradcheck(features, (value, *module.parameters()))
-
-
-@pytest.mark.parametrize("shape", [(STEPS,), (ROWS, STEPS), (1, ROWS, STEPS)])
+@pytest.mark.parametrize("shape", [(STEPS,), (2, 3, STEPS)])
 def test_any_number_of_axes_in_front_of_time(module, batch, shape):
-    rows = batch[0] if len(shape) == 1 else batch
+    rows = batch[1:2] if len(shape) == 1 else batch
     with set_recurrent_mode(True):
-        expected = module(rows.reshape(-1, STEPS))
+        expected = module(rows.clone())
         out = module(rows.reshape(shape))
     for key, size in (("out", (SIZE,)), (("next", "memory"), (LAYERS, SIZE))):
         assert out[key].shape == (*shape, *size)
@@ -89,8 +79,7 @@ def test_any_number_of_axes_in_front_of_time(module, batch, shape):
 
 
 def test_steps_follow_sequences(module, batch):
-    """One step after the other, as when data are collected, with memories of 0 at the start."""
-    batch["memory"] = torch.zeros_like(batch["memory"])
+    """One step after the other, as when data are collected, whatever is stored at beginnings."""
     with set_recurrent_mode(True):
         expected = module(batch.clone())
     memory = batch["memory"][:, 0]

@@ -17,12 +17,17 @@ Parameters = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def draw(*shape: int) -> Parameters:
-    """Logits, means and deviations: wide and narrow, far apart and on top of each other."""
+    """Logits, means and deviations: wide and narrow, far apart and on top of each other.
+
+    Of a third of them the logits differ by tens.
+    """
     scale = 10 ** torch.empty(shape, dtype=torch.float64).uniform_(-2, 0)  # 0.01 to 1
     loc = torch.randn(shape, dtype=torch.float64)
     near = torch.rand(*shape[:-1], 1) < 0.3
     loc = torch.where(near, loc[..., :1] + 0.01 * loc, loc)
-    return 2 * torch.randn(shape, dtype=torch.float64), loc, scale
+    sure = torch.rand(*shape[:-1], 1) < 0.33
+    logits = torch.randn(shape, dtype=torch.float64)
+    return torch.where(sure, 15 * logits, 2 * logits), loc, scale
 
 
 @pytest.fixture
@@ -35,8 +40,8 @@ def reference(logits, loc, scale) -> MixtureSameFamily:
     return MixtureSameFamily(Categorical(logits=logits), Normal(loc, scale))
 
 
-def brute_force(parameters: Parameters, others: Parameters | None = None):
-    """Density, log ratio (or log density) and step of a grid far finer than any component."""
+def brute_force(parameters: Parameters):
+    """Density, its log and step of a grid far finer than any component."""
     logits, loc, scale = parameters
     low, high = (loc - 9 * scale).amin(-1), (loc + 9 * scale).amax(-1)
     grid = low + (high - low) * torch.linspace(0, 1, 8_001, dtype=torch.float64)[:, None]
@@ -45,10 +50,19 @@ def brute_force(parameters: Parameters, others: Parameters | None = None):
         weight = logits.softmax(-1)[..., k]
         z = (grid - loc[..., k]) / scale[..., k]
         density += weight * torch.exp(-0.5 * z * z) / (scale[..., k] * math.sqrt(2 * math.pi))
-    log = density.clamp_min(1e-300).log()
-    if others is not None:
-        log = log - reference(*others).log_prob(grid)
-    return grid, density, log, (high - low) / 8_000
+    return grid, density, density.clamp_min(1e-300).log(), (high - low) / 8_000
+
+
+def divergence(parameters: Parameters, others: Parameters) -> torch.Tensor:
+    """``sum_k w_k E_k[log p - log q]``, each by sums over a grid that is fine for component k."""
+    logits, loc, scale = parameters
+    z = torch.linspace(-9, 9, 8_001, dtype=torch.float64)[:, None]
+    density = torch.exp(-0.5 * z * z) / math.sqrt(2 * math.pi) * 18 / 8_000
+    p, q, out = reference(*parameters), reference(*others), torch.zeros(())
+    for k in range(loc.shape[-1]):
+        x = loc[..., k] + z * scale[..., k]
+        out = out + logits.softmax(-1)[..., k] * (density * (p.log_prob(x) - q.log_prob(x))).sum(0)
+    return out
 
 
 def test_density_distribution_mean_and_variance_are_those_of_torch(parameters):
@@ -90,6 +104,17 @@ def test_draws_have_the_mean_and_variance(parameters):
     sigma = ours.variance.sqrt()
     assert ((draws.mean(0) - ours.mean).abs() < 5 * sigma / 200_000**0.5).all()
     assert_close(draws.var(0), ours.variance, rtol=0.03, atol=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0 - 2.0**-24])
+def test_a_component_without_weight_is_never_drawn(monkeypatch, share):
+    """Not even by the smallest and the largest share that a generator of float32 gives."""
+    monkeypatch.setattr(torch.Tensor, "uniform_", lambda out: out.fill_(share))
+    logits = torch.tensor([[[-200.0, 0.3, 0.1, 0.2, -200.0]]])
+    loc = torch.tensor([[[-1e6, 0.0, 0.0, 0.0, 1e6]]])
+    for scale in (0.3, 1.7, 2.9):  # of the logits, for other roundings of their sum
+        draw = MixtureOfGaussians(scale * logits, loc, torch.ones(1, 1, 5)).sample()
+        assert draw.abs() < 10
 
 
 def test_draws_carry_the_gradient_of_the_mean_and_the_spread():
@@ -147,12 +172,17 @@ def test_entropy_is_that_of_brute_force_for_ten_thousand_mixtures():
 
 
 def test_divergence_is_that_of_brute_force_for_ten_thousand_pairs():
+    """Also of narrow ones far apart, of which it is thousands."""
+    largest = 0.0
     for parameters, others in ((draw(500, 3), draw(500, 3)) for _ in range(20)):
-        others = (others[0], parameters[1] + 0.1 * others[1], others[2].clamp_min(0.1))
-        _, density, log, step = brute_force(parameters, others)
-        exact = (density * log).sum(0) * step
-        p, q = (MixtureOfGaussians(*(x[:, None] for x in x)) for x in (parameters, others))
-        assert_close(kl_divergence(p, q), exact, atol=1e-3, rtol=1e-4)
+        exact = divergence(parameters, others)
+        largest = max(largest, exact.max().item())
+        for kind, share in ((torch.float64, 0.0), (torch.float32, 1e-4)):
+            p, q = (
+                MixtureOfGaussians(*(x[:, None].to(kind) for x in x)) for x in (parameters, others)
+            )
+            assert_close(kl_divergence(p, q).double(), exact, atol=1e-3, rtol=share)
+    assert largest > 1000
 
 
 def test_entropy_and_divergence_of_one_component_are_the_closed_forms():

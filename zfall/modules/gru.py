@@ -14,19 +14,18 @@ class StackedGRU(GRUModule):
 
     One step is TorchRL's, with ``torch.nn.GRU``. Over sequences ``(N, T, ...)``, in recurrent mode,
     TorchRL cuts and pads them where episodes begin, and autograd takes each of the many operations
-    of each step by itself. Here a memory that begins anew takes the place of the old one on the
-    way, and each layer has one backward pass (``_Layer``).
+    of each step by itself. Here a memory becomes 0 on the way where an episode begins, and each
+    layer has one backward pass (``_Layer``), which can be taken once, for finite values.
 
-    Keys: reads ``in_key`` ``(*B, size)``, the hidden state ``(*B, num_layers, size)`` and
-    ``is_init`` ``(*B, 1)``; writes ``out_key`` ``(*B, size)`` and, under ``("next", hidden)``, the
-    hidden state after each step.
+    Keys: reads ``in_key`` ``(*B, size)``, the hidden state ``(*B, num_layers, size)``, of a
+    sequence that at its first step, and ``is_init`` ``(*B, 1)``, where it is 0 instead; writes
+    ``out_key`` ``(*B, size)`` and, under ``("next", hidden)``, the hidden state after each step.
 
     Args:
         size: width of input and layers.
         num_layers: number of layers.
         in_key, out_key: of the features.
-        hidden: of the hidden state. Stored ones count at the first step of a sequence and where
-            an episode begins.
+        hidden: key of the hidden state.
     """
 
     gru: nn.GRU
@@ -44,24 +43,17 @@ class StackedGRU(GRUModule):
         """One step of ``(*B,)`` or, in recurrent mode, sequences ``(*B, T)``."""
         if not self.recurrent_mode:
             return super().forward(tensordict)
-        shape = tensordict.shape
-        value, memories, begins = (
-            tensordict[key].reshape(-1, shape[-1], *tensordict[key].shape[len(shape) :])
-            for key in self.in_keys
-        )
-        begins = begins.transpose(0, 1).clone()  # (T, N, 1): steps in front
-        begins[0] = True
-        memories = (memories * begins.transpose(0, 1)[..., None]).permute(2, 1, 0, 3).contiguous()
-        goes_on = (~begins).to(value.dtype)
+        rows = tensordict.select(*self.in_keys).reshape(-1, tensordict.shape[-1])
+        value, memories, begins = (rows[key] for key in self.in_keys)
+        goes_on = (~begins).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
+        memories = (memories[:, 0] * goes_on[0, :, None]).transpose(0, 1).contiguous()
         layer, states = value.transpose(0, 1).contiguous(), []
-        for index, memory in enumerate(memories):
-            names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
-            weights = [getattr(self.gru, f"{name}_l{index}") for name in names]
+        for memory, weights in zip(memories, self.gru.all_weights, strict=True):
             layer = _Layer.apply(layer, memory, goes_on, *weights)
             states.append(layer.transpose(0, 1))
+        tensordict[self.out_keys[0]] = states[-1].reshape(*tensordict.shape, self.gru.hidden_size)
         after = torch.stack(states, 2)
-        tensordict[self.out_keys[0]] = states[-1].reshape(*shape, -1)
-        tensordict[self.out_keys[1]] = after.reshape(*shape, *after.shape[2:])
+        tensordict[self.out_keys[1]] = after.reshape(*tensordict.shape, *after.shape[2:])
         return tensordict
 
 
@@ -70,17 +62,17 @@ class _Layer(torch.autograd.Function):
 
         r, z = sigmoid(W x + b + U h + c),   n = tanh(W x + b + r (U h + c)),   h' = n + z (h - n)
 
-    ``inputs`` ``(T, N, D)``; ``goes_on`` ``(T, N, 1)`` is 0 where the memory begins anew, with what
-    ``memories`` ``(T, N, H)`` hold, which are 0 elsewhere; -> the hidden state after each step
-    ``(T, N, H)``. What does not depend on the step before is done for all steps at once, forwards
-    and backwards. Memories get no gradient.
+    ``inputs`` ``(T, N, D)``, ``memory`` ``(N, H)`` before the first step, ``goes_on``
+    ``(T, N, 1)``, 0 where a later step begins with h = 0, else 1; -> the hidden state after each
+    step ``(T, N, H)``. What does not depend on the step before is done for all steps at once,
+    forwards and backwards. The memory gets no gradient.
     """
 
     @staticmethod
     def forward(
         ctx: Any,
         inputs: Tensor,
-        memories: Tensor,
+        memory: Tensor,
         goes_on: Tensor,
         weight_in: Tensor,
         weight: Tensor,
@@ -89,45 +81,46 @@ class _Layer(torch.autograd.Function):
     ) -> Tensor:
         size = weight.shape[1]
         gates = nn.functional.linear(inputs, weight_in, bias_in)  # (T, N, 3 H): r, z, n
-        recurrent = torch.empty_like(gates)
-        states, before = torch.empty_like(memories), memories[0]
-        for t, (gate, again) in enumerate(zip(gates, recurrent, strict=True)):
+        recalled = torch.empty_like(gates)  # U h + c
+        states, before = inputs.new_empty(*inputs.shape[:2], size), memory
+        for t, (gate, recall) in enumerate(zip(gates, recalled, strict=True)):
             if t:
-                before = torch.addcmul(memories[t], states[t - 1], goes_on[t])
-            torch.addmm(bias, before, weight.t(), out=again)
-            gate[:, : 2 * size].add_(again[:, : 2 * size]).sigmoid_()
+                before = states[t - 1] * goes_on[t]
+            torch.addmm(bias, before, weight.t(), out=recall)
+            gate[:, : 2 * size].add_(recall[:, : 2 * size]).sigmoid_()
             reset, keep, new = gate.split(size, 1)
-            new.addcmul_(reset, again[:, 2 * size :]).tanh_()
+            new.addcmul_(reset, recall[:, 2 * size :]).tanh_()
             torch.lerp(new, before, keep, out=states[t])
-        ctx.save_for_backward(
-            inputs, memories, goes_on, weight_in, weight, gates, recurrent, states
-        )
+        ctx.save_for_backward(inputs, memory, goes_on, weight_in, weight, gates, recalled, states)
         return states
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, memories, goes_on, weight_in, weight, gates, recurrent, states = ctx.saved_tensors
+        inputs, memory, goes_on, weight_in, weight, gates, recalled, states = ctx.saved_tensors
         size = weight.shape[1]
-        before = torch.addcmul(memories, states.roll(1, 0), goes_on)
+        before = torch.cat([memory[None], states[:-1] * goes_on[1:]])
         reset, keep, new = gates.split(size, 2)
-        # By how much the argument of each gate moves the state.
+        # By how much a state moves with the arguments of r and z, and with what n recalls.
         slopes = torch.empty_like(gates)
-        of_reset, of_keep, of_again = slopes.split(size, 2)
+        of_reset, of_keep, of_recall = slopes.split(size, 2)
         of_new = (1 - keep).mul_(1 - new.square())
-        torch.mul(of_new, reset, out=of_again)
-        torch.mul(of_again, 1 - reset, out=of_reset).mul_(recurrent[..., 2 * size :])
+        torch.mul(of_new, reset, out=of_recall)
+        torch.mul(of_recall, 1 - reset, out=of_reset).mul_(recalled[..., 2 * size :])
         torch.mul(before - new, keep, out=of_keep).mul_(1 - keep)
-        kept = keep * goes_on  # nothing goes back over the beginning of an episode
-        grads, back = grad.clone(), torch.empty_like(slopes)
-        by_gate, slopes = back.unflatten(2, (3, size)), slopes.unflatten(2, (3, size))
+        kept = keep * goes_on
+        grads = grad.clone(memory_format=torch.contiguous_format)  # by the states, in the end
+        by_recalled = torch.empty_like(slopes)
+        by_gate, slopes_of_gate = (x.unflatten(2, (3, size)) for x in (by_recalled, slopes))
         for t in reversed(range(len(grads))):
-            torch.mul(grads[t].unsqueeze(1), slopes[t], out=by_gate[t])
+            torch.mul(grads[t].unsqueeze(1), slopes_of_gate[t], out=by_gate[t])
             if t:
-                grads[t - 1].addcmul_(grads[t], kept[t]).addcmul_(back[t] @ weight, goes_on[t])
-        rows = back.flatten(0, 1)  # (T N, 3 H)
+                past = grads[t - 1].addcmul_(grads[t], kept[t])
+                past.addcmul_(by_recalled[t] @ weight, goes_on[t])
+        rows = by_recalled.flatten(0, 1)  # (T N, 3 H)
         grad_weight, grad_bias = rows.t() @ before.flatten(0, 1), rows.sum(0)
-        torch.mul(grads, of_new, out=back[..., 2 * size :])  # its own input is not reset
+        # From here on rows are by W x + b, which differs in n: r does not scale it.
+        torch.mul(grads, of_new, out=by_recalled[..., 2 * size :])
         grad_weight_in, grad_bias_in = rows.t() @ inputs.flatten(0, 1), rows.sum(0)
-        grad_inputs = (rows @ weight_in).view_as(inputs) if ctx.needs_input_grad[0] else None
+        grad_inputs = (rows @ weight_in).view_as(inputs)
         return grad_inputs, None, None, grad_weight_in, grad_weight, grad_bias_in, grad_bias

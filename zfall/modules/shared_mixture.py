@@ -48,11 +48,11 @@ class SharedMixtureOfGaussians(Distribution):
 
     @torch.no_grad()
     def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
-        """Draws ``(*sample_shape, *B, J)``; the component by the Gumbel-max trick."""
-        shape = torch.Size(sample_shape)
-        log_weight = self._log_weight.expand(shape + self._log_weight.shape)
-        gumbel = -torch.empty_like(log_weight).exponential_().log()
-        index = (log_weight + gumbel).argmax(-1)[..., None, None]
+        """Draws ``(*sample_shape, *B, J)``; the component by inversion of its distribution."""
+        shape, below = torch.Size(sample_shape), self._log_weight.exp().cumsum(-1)
+        # Above 0 and up to the last, 1 but for rounding: nothing without weight is drawn.
+        share = below[..., -1:] * (1 - below.new_empty(*shape, *below.shape[:-1], 1).uniform_())
+        index = (share > below[..., :-1]).sum(-1)[..., None, None]
         index = index.expand(*index.shape[:-1], self.loc.shape[-1])
         loc = self.loc.expand(shape + self.loc.shape).gather(-2, index).squeeze(-2)
         scale = self.scale.expand(shape + self.scale.shape).gather(-2, index).squeeze(-2)
