@@ -100,6 +100,7 @@ class Learner:
             value_clip=loss.value_clip,
             value_error_clip=loss.value_error_clip,
         )
+        self.loss.set_keys(sample_log_prob="action_log_prob")
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         for name, auxiliary in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
             known = {parameter.data_ptr() for parameter in self.parameters}
@@ -133,6 +134,13 @@ class Learner:
                 f"got {cfg.minibatches}."
             )
         self.carrier = self.env.reset()
+        given = {*self.carrier.keys(True, True), *self._acting.out_keys}
+        for name, loss in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
+            for key in loss.in_keys:
+                if (key[1] if isinstance(key, tuple) and key[0] == "next" else key) not in given:
+                    raise ValueError(
+                        f"auxiliary_losses.{name} must read what env or networks give, not {key}."
+                    )
         self.frames = self.updates = 0
 
     def _build(self, config: DictConfig, *args: object, place: str = "augmentation") -> Any:

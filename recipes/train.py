@@ -7,6 +7,8 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
+from types import FrameType
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -42,7 +44,9 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors(), removed_if_unused(folder):
         check_keys(cfg, KEYS)
-        if not (isinstance(cfg.total_frames, (int, float)) and cfg.total_frames > 0):
+        if not (isinstance(cfg.total_frames, (int, float)) and cfg.total_frames > 0) or (
+            math.isinf(cfg.total_frames)
+        ):
             raise ValueError(f"total_frames must be a positive number, got {cfg.total_frames}.")
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
         check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
@@ -53,9 +57,11 @@ def main(cfg: DictConfig) -> None:
             check_version(state["run"], folder)
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
         elif (folder / "metrics.csv").exists():
+            resumable = (folder / "checkpoints" / "last.pt").exists()
+            repair = f"resume={shown_path(folder)} goes on with it" if resumable else "remove it"
             raise ValueError(
-                f"hydra.run.dir must be a folder without a run, {folder} holds one; "
-                f"resume={shown_path(folder)} goes on with it."
+                f"hydra.run.dir must be a folder without a run, {folder} holds one"
+                f"{'' if resumable else ' without a checkpoint'}; {repair}."
             )
         try_one_step(cfg.env)
         learner = Learner(cfg)
@@ -140,14 +146,9 @@ def number_of_updates(learner: Learner) -> int:
 
 def train(learner: Learner, run: RunFolder, console: Console) -> bool:
     """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
-    stop: list[int] = []  # the first ctrl-c lets the update end, so that it can be resumed exactly
-    previous = signal.signal(
-        signal.SIGINT,
-        lambda number, _: stop.append(number) or signal.signal(number, previous),  # type: ignore[func-returns-value]
-    )
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = number_of_updates(learner)
-    with progress_bar(console) as bar, garbage_collector_of_new_things():
+    with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
         task = bar.add_task("train", total=total, completed=learner.updates, note="")
         while learner.updates < total:
             times = [time.perf_counter()]
@@ -168,11 +169,26 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
             if not console.is_terminal and learner.updates % 10 == 0:
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
                 console.print(f"{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
-            if stop:
+            if stop.is_set():
                 run.save(learner, "last")
                 return False
-    signal.signal(signal.SIGINT, previous)
     return True
+
+
+@contextmanager
+def first_ctrl_c() -> Iterator[Event]:
+    """Set by the first ctrl-c, which lets the update end, to be resumed exactly; not the second."""
+    pressed = Event()
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.signal(number, previous)
+
+    previous = signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import set_composite_lp_aggregate
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import LossModule
@@ -125,6 +126,18 @@ def test_values_and_advantages_of_a_recurrent_critic_are_those_of_a_plain_loop(
         atol=1e-4,
         rtol=1e-4,
     )
+
+
+@pytest.mark.parametrize("aggregated", [False, True])
+def test_whatever_tensordict_calls_log_probabilities(compose_config, aggregated):
+    """Its settings of composite distributions name them, and hold for all actors of a process."""
+    sizes = ("num_envs=4", "rollout_steps=4", "actor=gru_mog", "caps=atalante")
+    with set_composite_lp_aggregate(aggregated):
+        learner = Learner(compose_config(*sizes))
+        batch = learner.collect()
+        losses = learner.learn(batch)
+    assert batch["action_log_prob"].shape == (4, 4)
+    assert losses["loss_objective"] != 0.0
 
 
 def test_every_parameter_learns(learner):
@@ -451,6 +464,40 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
 
 
+def test_the_order_of_sequences_changes_nothing(compose_config):
+    """Loss and gradients of a minibatch of sequences, in two orders."""
+    learner = Learner(
+        compose_config("num_envs=12", "rollout_steps=10", "actor=gru_mog", "critic=gru",
+                       "env.transforms.limit.seconds=0.3")
+    )  # fmt: skip
+    learner.collect()
+    batch = learner.collect()
+    assert batch["is_init"][:, 1:].any()
+    with torch.no_grad(), set_recurrent_mode(True):
+        learner.advantage(batch)
+        for parameter in learner.parameters:
+            parameter.add_(0.02 * torch.randn_like(parameter))
+    found = []
+    for rows in (torch.arange(12), torch.randperm(12)):
+        learner.optimizer.zero_grad()
+        out = learner.loss(batch[rows])
+        sum(value for key, value in out.items() if key.startswith("loss_")).backward()
+        found.append([out["loss_objective"], *(p.grad.clone() for p in learner.parameters)])
+    assert found[0][1].abs().max() > 1e-3
+    assert_close(found[0], found[1], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("target", "factor"), [(1e-6, 1 / 1.5), (1e6, 1.5)])
+def test_the_learning_rate_follows_the_divergence(compose_config, target, factor):
+    """One step down where an update moves the policy by more than twice the target, or up."""
+    sizes = ("num_envs=8", "rollout_steps=8")
+    learner = Learner(compose_config(*sizes, f"scheduler.target_kl={target}"))
+    rate = learner.optimizer.param_groups[0]["lr"]
+    for update in (1, 2):
+        learner.learn(learner.collect())
+        assert learner.optimizer.param_groups[0]["lr"] == pytest.approx(rate * factor**update)
+
+
 class LossOfItsOwn(LossModule):
     """With a layer that nothing would train."""
 
@@ -469,6 +516,8 @@ FAULTS = [
      "a mirrored observation must be one vector"),
     (["+auxiliary_losses.own={_target_: tests.test_learner.LossOfItsOwn}"],
      "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
+    (["caps=atalante", "+auxiliary_losses.caps.neighbour_key=near"],
+     "auxiliary_losses.caps must read what env or networks give, not near"),
 ]  # fmt: skip
 
 

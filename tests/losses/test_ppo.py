@@ -1,7 +1,9 @@
 """The penalised loss against TorchRL's, closed forms and hand calculation."""
 
+import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 from tensordict import TensorDict, TensorDictBase
 from torch.distributions import Normal, kl_divergence
 from torch.testing import assert_close
@@ -47,13 +49,52 @@ def test_without_penalty_and_bound_it_is_the_clipped_loss(components, value_clip
     actor, critic = mlp_actor(spec, action_spec, components=components), mlp_critic(spec)
     batch = collected(actor, 64)
     move(actor, 0.05)
-    torch.manual_seed(1)  # of the mixture's entropy
     expected = ClipPPOLoss(actor, critic, clip_value=value_clip, **COMMON)(batch)
-    torch.manual_seed(1)
     out = PenalizedPPOLoss(actor, critic, value_clip=value_clip, **COMMON)(batch)
     assert set(out.keys()) == {*expected.keys(), "kl"}
     for key, value in expected.items():
         assert torch.equal(out[key], value), key
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("components", [0, 3])
+def test_objective_and_entropy_are_those_of_a_plain_loop(components, normalize):
+    """Densities by SciPy, row by row and joint by joint; entropy by sums over a fine grid."""
+    spec, action_spec = specs()
+    actor, critic = mlp_actor(spec, action_spec, components=components), mlp_critic(spec)
+    batch = collected(actor, 40)
+    move(actor, 0.1)
+    out = PenalizedPPOLoss(actor, critic, **(COMMON | {"normalize_advantage": normalize}))(batch)
+    with torch.no_grad():
+        dist = actor.get_dist(batch.clone())
+    if components:
+        weight, loc, scale = dist.logits.softmax(-1).numpy(), dist.loc.numpy(), dist.scale.numpy()
+    else:
+        loc, scale = dist.base_dist.loc.numpy()[..., None], dist.base_dist.scale.numpy()[..., None]
+        weight = np.ones_like(loc)
+    grid = np.linspace(-12, 12, 40_001)
+    advantage = batch["advantage"][:, 0].double().numpy()
+    if normalize:
+        advantage = (advantage - advantage.mean()) / advantage.std(ddof=1)
+    gains, entropies, clipped = [], [], 0
+    for row in range(40):
+        log_prob = entropy = 0.0
+        for joint in range(2):
+            here = (weight[row, joint], loc[row, joint], scale[row, joint])
+            density = lambda x, here=here: (here[0] * norm.pdf(x[:, None], *here[1:])).sum(-1)  # noqa: E731
+            log_prob += np.log(density(batch["action"][row, joint : joint + 1].numpy()))[0]
+            values = density(grid)
+            entropy -= (values * np.log(values.clip(1e-300))).sum() * (grid[1] - grid[0])
+        ratio = np.exp(log_prob - batch["action_log_prob"][row].item())
+        bounded = min(max(ratio, 0.7), 1.3)
+        clipped += ratio != bounded
+        gains.append(min(ratio * advantage[row], bounded * advantage[row]))
+        entropies.append(entropy)
+    assert 0 < clipped < 40
+    assert out["loss_objective"].item() == pytest.approx(-np.mean(gains), abs=1e-4)
+    assert out["loss_entropy"].item() == pytest.approx(-0.01 * np.mean(entropies), abs=1e-5)
+    out["loss_entropy"].backward()
+    assert max(p.grad.abs().max() for p in actor.parameters() if p.grad is not None) > 1e-4
 
 
 def test_the_penalty_leaves_the_other_losses_as_they_are():

@@ -1,6 +1,7 @@
 """Actors and critics: shapes, sizes, and recurrence that replays."""
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
@@ -110,11 +111,21 @@ def test_without_a_normaliser_the_observation_goes_in_as_it_is(build):
         ({"std_range": [0.3, 0.1]}, r"std_range must be \[floor, cap\]"),
         ({"std": 0.1, "std_range": [0.2, 0.5]}, "std must lie above the floor 0.2"),
         ({"std": 1.2, "components": 2}, "not over 1.0, got 1.2"),
+        ({"std": 0.0, "learn_std": False}, "std must be positive, got 0"),
+        ({"components": -1}, "components must not be negative, got -1"),
+        ({"num_cells": []}, r"num_cells must be widths of at least 1, one or more, got \[\]"),
+        ({"num_cells": [8, 0]}, r"num_cells must be widths of at least 1.*got \[8, 0\]"),
     ],
 )
 def test_values_that_no_actor_has_are_refused(values, message):
     with pytest.raises(ValueError, match=message):
         mlp_actor(*specs(), **values)
+
+
+@pytest.mark.parametrize("name", ["hidden_size", "num_layers"])
+def test_a_memory_without_size_is_refused(name):
+    with pytest.raises(ValueError, match=f"{name} must be at least 1, got 0"):
+        gru_actor(*specs(), **{name: 0})
 
 
 @pytest.mark.parametrize("build", [mlp_actor, gru_actor])
@@ -147,6 +158,27 @@ def test_actor_begins_with_the_deviation_asked(components, std):
     actor = mlp_actor(spec, action_spec, components=components, std=std)
     dist = actor.get_dist(TensorDict({"observation": torch.zeros(2, 50)}, batch_size=[2]))
     assert_close(dist.variance.sqrt(), torch.full((2, 20), std), rtol=1e-3, atol=0)
+
+
+@pytest.mark.parametrize("build", [gru_actor, gru_critic])
+def test_gates_begin_orthogonal_if_asked(build):
+    """Of a square block W W' = 1, of one of 64 x 50 W' W = 1; no two blocks are the same."""
+    given = specs(50, 50) if build is gru_actor else specs(50, 50)[:1]
+    module = build(*given, initialization="orthogonal")
+    named = dict(module.named_parameters())
+    blocks = [
+        gate for name, p in named.items() if "weight_" in name and "gru" in name
+        for gate in p.split(64)
+    ]  # fmt: skip
+    assert len(blocks) == 3 * 2 * 3
+    for block in blocks:
+        assert_close(block @ block.T, torch.eye(64), atol=1e-5, rtol=0)
+    assert all(not torch.equal(a, b) for a, b in pairwise(blocks))
+    (linear,) = (p for p in named.values() if p.shape == (64, 50))
+    assert_close(linear.T @ linear, torch.eye(50), atol=1e-5, rtol=0)
+    biases = [p for name, p in named.items() if "bias_" in name]
+    assert len(biases) == 6
+    assert all((p == 0).all() for p in biases)
 
 
 def test_layers_of_a_stacked_gru_begin_different():

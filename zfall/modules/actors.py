@@ -13,7 +13,6 @@ from zfall.modules.gru import StackedGRU
 from zfall.modules.heads import GaussianHead, Head, make_head
 from zfall.modules.normalization import ObservationNormalizer
 
-_HIDDEN = "recurrent_state_actor"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 
 
@@ -29,10 +28,10 @@ def mlp_trunk(
     torch does by itself, ``default``.
 
     Raises:
-        ValueError: on an unknown activation or initialization.
+        ValueError: on an unknown activation or initialization, or no layer or cell.
     """
-    if initialization not in ("orthogonal", "default"):
-        raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
+    _check_initialization(initialization)
+    _check_widths(num_cells)
     if activation not in _ACTIVATIONS:
         names = ", ".join(_ACTIVATIONS)
         raise ValueError(f"activation must be one of {names}, got {activation!r}.")
@@ -45,6 +44,57 @@ def mlp_trunk(
         layers += [linear, _ACTIVATIONS[activation]()]
         size = cells
     return nn.Sequential(*layers)
+
+
+def gru_trunk(
+    size: int,
+    hidden_size: int,
+    num_layers: int,
+    normalize: bool | ObservationNormalizer,
+    initialization: str,
+    *,
+    role: str,
+    in_key: str,
+) -> tuple[TensorDictModule, StackedGRU]:
+    """A linear layer and stacked GRU cells: ``in_key`` ``(*B, size)`` -> ``features_ROLE``.
+
+    Weights are drawn layer by layer: ``orthogonal``, those of each gate by themselves, with biases
+    of zero, or as torch does by itself, ``default``. The hidden state is ``recurrent_state_ROLE``.
+
+    Raises:
+        ValueError: on an unknown initialization, or no layer or cell.
+    """
+    _check_initialization(initialization)
+    for name, value in (("hidden_size", hidden_size), ("num_layers", num_layers)):
+        if value < 1:
+            raise ValueError(f"{name} must be at least 1, got {value}.")
+    linear = nn.Linear(size, hidden_size)
+    embedding, features, hidden = f"embedding_{role}", f"features_{role}", hidden_key(role)
+    gru = StackedGRU(hidden_size, num_layers, embedding, features, hidden)
+    if initialization == "orthogonal":
+        for name, values in [*linear.named_parameters(), *gru.named_parameters()]:
+            if "bias" in name:
+                nn.init.zeros_(values)
+            else:
+                for gate in values.split(hidden_size):
+                    nn.init.orthogonal_(gate)
+    encoder = nn.Sequential(*normalizer(size, normalize), linear)
+    return TensorDictModule(encoder, in_keys=[in_key], out_keys=[embedding]), gru
+
+
+def hidden_key(role: str) -> str:
+    """Name of the hidden state of an ``actor`` or a ``critic``."""
+    return f"recurrent_state_{role}"
+
+
+def _check_widths(num_cells: Sequence[int]) -> None:
+    if not num_cells or min(num_cells) < 1:
+        raise ValueError(f"num_cells must be widths of at least 1, one or more, got {num_cells}.")
+
+
+def _check_initialization(initialization: str) -> None:
+    if initialization not in ("orthogonal", "default"):
+        raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
 
 
 def normalizer(size: int, normalize: bool | ObservationNormalizer) -> list[nn.Module]:
@@ -94,9 +144,10 @@ def mlp_actor(
             whether it depends on the state. See ``make_head``.
 
     Raises:
-        ValueError: on another statistic, activation or initialization, or a mixture of fixed
-            deviation.
+        ValueError: on another statistic, activation or initialization, no layer or cell, or a
+            mixture of fixed deviation.
     """
+    _check_widths(num_cells)
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(num_cells[-1], joints, **head)
     trunk = mlp_trunk(size, num_cells, activation, initialization)
@@ -112,6 +163,7 @@ def gru_actor(
     hidden_size: int = 64,
     num_layers: int = 3,
     components: int = 3,
+    initialization: str = "default",
     normalize: bool = True,
     statistic: str = "mean",
     **head: Any,
@@ -127,19 +179,26 @@ def gru_actor(
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
         components: Gaussians per joint; 0 for a plain Gaussian.
+        initialization: of these layers, see ``gru_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         head: as of ``mlp_actor``.
 
     Raises:
-        ValueError: on another statistic, or a mixture of fixed deviation.
+        ValueError: on another statistic or initialization, or a mixture of fixed deviation.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(hidden_size, joints, components=components, **head)
-    encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     module = TensorDictSequential(
-        TensorDictModule(encoder, in_keys=["observation"], out_keys=["embedding_actor"]),
-        StackedGRU(hidden_size, num_layers, "embedding_actor", "features_actor", _HIDDEN),
+        *gru_trunk(
+            size,
+            hidden_size,
+            num_layers,
+            normalize,
+            initialization,
+            role="actor",
+            in_key="observation",
+        ),
         TensorDictModule(out, in_keys=["features_actor"], out_keys=list(out.keys)),
     )
     return _actor(module, out, statistic)
@@ -158,6 +217,7 @@ def _actor(module: TensorDictModule, head: Head, statistic: str) -> Probabilisti
         if mixture
         else {},  # of a Gaussian both are one
         return_log_prob=True,
+        log_prob_key="action_log_prob",  # whatever TensorDict's settings call it
     )
     kept = ["action", "action_log_prob"]
     recurrent = [key for key in module.out_keys if isinstance(key, tuple)]

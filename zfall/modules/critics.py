@@ -2,16 +2,13 @@
 
 from collections.abc import Sequence
 
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import mlp_trunk, normalizer
-from zfall.modules.gru import StackedGRU
+from zfall.modules.actors import gru_trunk, hidden_key, mlp_trunk, normalizer
 from zfall.modules.normalization import ObservationNormalizer
-
-_HIDDEN = "recurrent_state_critic"
 
 
 class ValueHead(nn.Linear):
@@ -65,6 +62,7 @@ def gru_critic(
     *,
     hidden_size: int = 64,
     num_layers: int = 3,
+    initialization: str = "default",
     normalize: bool | ObservationNormalizer = True,
     scale: float = 1.0,
 ) -> TensorDictSequential:
@@ -78,16 +76,25 @@ def gru_critic(
         observation_spec: of the env.
         hidden_size: width of the GRU layers.
         num_layers: number of GRU layers.
+        initialization: of these layers, see ``gru_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far; or
             the normaliser of an actor that sees the same, to be shared.
         scale: unit of the values.
     """
     size = observation_spec["observation_critic"].shape[-1]
-    encoder = nn.Sequential(*normalizer(size, normalize), nn.Linear(size, hidden_size))
     critic = TensorDictSequential(
-        TensorDictModule(encoder, in_keys=["observation_critic"], out_keys=["embedding_critic"]),
-        StackedGRU(hidden_size, num_layers, "embedding_critic", "features_critic", _HIDDEN),
+        *gru_trunk(
+            size,
+            hidden_size,
+            num_layers,
+            normalize,
+            initialization,
+            role="critic",
+            in_key="observation_critic",
+        ),
         ValueOperator(ValueHead(hidden_size, scale), in_keys=["features_critic"]),
     )
-    critic.select_out_keys("state_value", ("next", _HIDDEN))  # the rest need not be stored
+    critic.select_out_keys(
+        "state_value", ("next", hidden_key("critic"))
+    )  # the rest need not be stored
     return critic

@@ -39,7 +39,7 @@ class DeployedGRU(nn.Module):
         super().__init__()
         encoder, memory, head = actor[0]
         self.encoder, self.head = encoder.module, head.module
-        self.gru = memory.gru if hasattr(memory, "gru") else memory.rnn
+        self.gru = memory.gru
         self.statistic = _Statistic(actor)
 
     def forward(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:

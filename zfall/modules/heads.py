@@ -196,8 +196,12 @@ def make_head(
 
     Raises:
         ValueError: if the deviation of a mixture is to be fixed, or no component to be shared, or
-            the deviation lies outside of its range.
+            the deviation is not positive or lies outside of its range.
     """
+    if components < 0:
+        raise ValueError(f"components must not be negative, got {components}.")
+    if not std > 0:
+        raise ValueError(f"std must be positive, got {std}.")
     known: dict[str, Any] = {"std": std}
     if std_range is not None:
         low, high = std_range

@@ -9,6 +9,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Composite
 
+from zfall.modules.actors import recurrent_keys
+
 
 class SwitchedActor(TensorDictModuleBase):
     """Acts as one policy in mode RECOVER and as another in KNEEL and STABLE.
@@ -28,11 +30,7 @@ class SwitchedActor(TensorDictModuleBase):
 
     def __init__(self, recover: Any, kneel: Any, *, begins: bool = False):
         super().__init__()
-        memories = [
-            [key for key in actor.in_keys if str(key).startswith("recurrent_state")]
-            for actor in (recover, kneel)
-        ]
-        if all(memories):
+        if recurrent_keys(recover) and recurrent_keys(kneel):
             raise ValueError("recover and kneel must not both have a memory, got two GRUs.")
         self.recover, self.kneel, self.begins = recover, kneel, begins
         self.in_keys = list(dict.fromkeys([*recover.in_keys, *kneel.in_keys, "mode"]))
