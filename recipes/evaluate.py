@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.results import write_comparison, write_envelope, write_results
-from recipes.tested import BASELINES, Tested, held, load_run, read_trials, write_trials
+from recipes.tested import BASELINES, SCRIPTED, Tested, held, load_run, read_trials, write_trials
 from recipes.trial import show_trial
 from zfall.envs.make import left_out
 from zfall.evaluation.battery import run_battery, starts_and_pushes
@@ -97,13 +97,13 @@ def main(cfg: DictConfig) -> None:
 def in_world_of_policies(cfg: DictConfig, name: str, names: Sequence[str]) -> DictConfig:
     """The config for a baseline, which meets the world of the first policy beside it.
 
-    ``scripted_kneel`` that of the first that has modes.
+    One that kneels that of the first that has modes.
     """
     if name not in BASELINES or cfg.get("env") is not None:
         return cfg
     for policy in (other for other in names if other not in BASELINES):
         world = load_run(cfg, policy)[0]
-        if name != "scripted_kneel" or world.transforms.get("kneel_reference") is not None:
+        if name not in SCRIPTED or world.transforms.get("kneel_reference") is not None:
             given = cfg.copy()
             with open_dict(given):
                 given.env = world

@@ -12,7 +12,7 @@ from recipes.summaries import write_summary
 from zfall.envs.robots import Robot
 from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
-from zfall.evaluation.kneeling import summarize_kneel
+from zfall.evaluation.kneeling import PEAKS, compare_falls, summarize_kneel
 from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import (
     envelope_plot,
@@ -70,10 +70,9 @@ def write_results(
         rows = kneel_table(summary)
         written += _table(folder, "outcomes", rows)
         console.print(markdown(rows), markup=False, soft_wrap=True)
-        peaks = ("base_acceleration", "torso_head_force")
-        values = {peak: summary[f"grid_falls_peak_{peak}_mean"] for peak in peaks}
+        values = {peak: summary[f"grid_falls_{peak}_mean"] for peak in PEAKS}
         means = ", ".join(f"{k} {v:.3g}" for k, v in values.items() if v is not None)
-        console.print(f"mean peaks over {summary['grid_falls']} falls: {means}")
+        console.print(f"means over {summary['grid_falls']} falls: {means}")
     else:
         lines = references(robot, battery.durations[0])
         written += _figures(
@@ -136,6 +135,12 @@ def write_comparison(
     for figure in figures:
         paired[figure] = [summaries[name][figure] for name in paired["run"]]
     written = _table(folder, "comparison", paired)
+    if battery.forces:
+        tables = [kneel_table(summaries[name]) for name in results]
+        written += _table(
+            folder, "outcomes", pd.concat(tables, keys=short.values()).reset_index(0, names="run")
+        )
+        written += _table(folder, "falls", compare_falls(named))
     planar = battery.interval is None and not battery.forces
     if planar:
         lines = references(robot, battery.durations[0])
@@ -165,6 +170,8 @@ def kneel_table(summary: dict[str, Any]) -> pd.DataFrame:
             row = {"push": f"{label} {push}", "n": entry["n"]}
             for key in ("recovered", "kneeled", "clean", "untouched"):
                 row[key] = _percent(*(entry[f"{key}{end}"] for end in ("", "_low", "_high")))
+            for key in PEAKS:
+                row[key] = _interval(*(entry[f"{key}{end}"] for end in ("", "_low", "_high")))
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -173,6 +180,12 @@ def _percent(value: float | None, low: float | None, high: float | None) -> str:
     if value is None or low is None or high is None:
         return "-"
     return f"{100 * value:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def _interval(value: float | None, low: float | None, high: float | None) -> str:
+    if value is None or low is None or high is None:
+        return "-"
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
 
 
 def _figures(folder: Path, name: str, draw: Callable[[Path], None]) -> list[str]:

@@ -1,6 +1,7 @@
 """What a battery tests: a run's policy in its env, or a baseline; and where its trials are kept."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files
@@ -21,7 +22,8 @@ from zfall.evaluation.battery import robot_of, starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
 
-BASELINES = ("pose_hold", "limp", "scripted_kneel")
+SCRIPTED = ("scripted_kneel", "scripted_catch")  # act by themselves in an env with modes
+BASELINES = ("pose_hold", "limp", *SCRIPTED)
 POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
 
 
@@ -96,10 +98,7 @@ def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | N
         if isinstance(given, str):
             given = compose("train", overrides=[f"env={given}", "num_envs=64"]).env
         given = changed(given, cfg.get("change", []))
-        kneels = given.transforms.get("kneel_reference") is not None
-        if run == "scripted_kneel" and not kneels:
-            raise ValueError("scripted_kneel needs an env with modes: env=push_to_kneel.")
-        return given if run == "scripted_kneel" else held(given), None
+        return scripted(given, run) if run in SCRIPTED else held(given), None
     path = checkpoint_of(run, cfg.checkpoint, others=BASELINES)
     content = checkpoint.load(path)
     env_cfg = changed(OmegaConf.create(content["config"]).env, cfg.get("change", []))
@@ -133,6 +132,21 @@ def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
     if content["robot"] != robot:
         raise ValueError(f"{key} must be of the robot {robot}, {run} is of {content['robot']}.")
     return policy_of(content, cfg.env, path)
+
+
+def scripted(env_cfg: DictConfig, run: str) -> DictConfig:
+    """The env's config for a baseline that kneels: ``scripted_kneel`` goes from the stand to the
+    pose ``kneel`` whatever the fall, ``scripted_catch`` through what ``recipes.catches`` found.
+
+    Raises:
+        ValueError: if the env has no modes.
+    """
+    if env_cfg.transforms.get("kneel_reference") is None:
+        raise ValueError(f"{run} needs an env with modes: env=push_to_kneel.")
+    new = env_cfg.copy()
+    if run == "scripted_kneel":  # nothing is fast enough for another movement
+        OmegaConf.update(new, "transforms.kneel_reference.moving", math.inf, force_add=True)
+    return new
 
 
 def held(env_cfg: DictConfig) -> DictConfig:

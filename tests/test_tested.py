@@ -5,13 +5,17 @@ import json
 import pandas as pd
 import pytest
 import torch
+from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from tensordict import TensorDict
+from torch.testing import assert_close
 
-from recipes.tested import check_same_interface, held, keep
+from recipes.tested import SCRIPTED, check_same_interface, held, keep, scripted
 from tests.shell import SMALL, TINY, run
 from zfall import checkpoint
 from zfall.envs.make import left_out
 from zfall.envs.robots import ZEROTH01
+from zfall.envs.transforms.actions import KneelReference
 from zfall.evaluation.battery import run_battery
 from zfall.evaluation.definitions import load_battery
 
@@ -59,10 +63,36 @@ def test_a_scripted_kneel_needs_modes(tmp_path):
     held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")
     assert held.returncode == 0, held.stderr
     assert not pd.read_csv(path).equals(script)  # keeps to the stand
+    catch = run("evaluate", "run=scripted_catch", *own, "end_time=1.5")
+    assert catch.returncode == 0, catch.stderr
+    assert not pd.read_csv(path).equals(script)  # other postures
     null = 'change=["transforms.kneel_reference=null"]'
     assert run("evaluate", "run=scripted_kneel", *own, null).returncode != 0
     bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
     assert "scripted_kneel needs an env with modes" in bad.stderr
+
+
+def test_a_scripted_kneel_goes_to_the_kneel_however_fast_the_fall(compose_config):
+    """In mode KNEEL, moving at 2 m/s; ``scripted_catch`` goes somewhere else."""
+    cfg = compose_config("env=push_to_kneel", "num_envs=1").env
+    reached = {}
+    for name in SCRIPTED:
+        transforms = instantiate(scripted(cfg, name)).transform
+        reference = next(t for t in transforms if isinstance(t, KneelReference))
+        for _ in range(20):
+            td = TensorDict(
+                {
+                    "mode": torch.tensor([[0.0, 1.0, 0.0]]),
+                    "base_orientation": torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+                    "com_velocity": torch.tensor([[2.0, 0.0, 0.0]]),
+                    "target": reference.stand[None],
+                },
+                [1],
+            )
+            reached[name] = reference.inv(td)["target"][0]
+    kneel = torch.tensor(ZEROTH01.kneel_position)
+    assert_close(reached["scripted_kneel"], kneel.clamp(*reference.range.unbind(-1)))
+    assert (reached["scripted_catch"] - kneel).abs().max() > 0.3
 
 
 def test_baselines_beside_a_policy_meet_its_world(tmp_path):

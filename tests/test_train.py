@@ -49,6 +49,7 @@ BAD = [
     (["num_envs=0"], "num_envs must be at least 1, got 0"),
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
+    (["total_frames=.inf"], "total_frames must be a positive number, got inf"),
     (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),

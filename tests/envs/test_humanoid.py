@@ -176,6 +176,18 @@ def test_joint_torque_is_the_servo_law_averaged_over_the_step(make_base):
     assert_close(torque[legs], torch.full((12,), 3.124), atol=2e-3, rtol=0)
 
 
+def test_the_largest_torque_is_that_of_a_step_of_the_physics(make_base):
+    """Of targets that change in every physics step, each world's own."""
+    env = make_base(num_envs=3)
+    env.record_substeps(["joint_torque"])
+    td = env.reset()
+    control = env.stand_position + 0.3 * torch.randn(3, env.substeps, 20)
+    out = env._step(td.set("control", control))
+    by_step = out["substeps", "joint_torque"].abs()
+    assert_close(out["joint_torque_peak"], by_step.flatten(1).amax(1, keepdim=True))
+    assert (out["joint_torque_peak"][:, 0] > out["joint_torque"].abs().amax(1) + 0.1).all()
+
+
 def test_fixed_seed_rollouts_are_the_same_to_the_bit(make_base):
     rollouts = []
     for threads in (1, 2):

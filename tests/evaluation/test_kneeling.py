@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from tests.evaluation.test_metrics import record
-from zfall.evaluation.kneeling import Kneeling, summarize_kneel
+from zfall.evaluation.kneeling import Kneeling, compare_falls, summarize_kneel
 
 
 def kneel(env, **values) -> TensorDict:
@@ -155,7 +155,7 @@ def test_summary_by_hand():
             "peak_contact_force/head": [0.0, 0, 0, 0, 0, 0, 110, 0, 0],
             "peak_base_acceleration": [10.0, 10, 10, 20, 40, 60, 80, 10, 999],
             "impact_energy": 1.0,
-            "joint_torque_peak": 2.0,
+            "peak_joint_torque": [0.0] * 3 + [2.0, 3.0, 4.0, 7.0] + [0.0, 99.0],
             "kneel_time_s": 0.5,
         }
     )
@@ -173,3 +173,35 @@ def test_summary_by_hand():
     assert summary["grid_falls"] == 4  # of the grid
     assert summary["grid_falls_peak_base_acceleration_mean"] == 50.0
     assert summary["grid_falls_peak_torso_head_force_mean"] == pytest.approx((30 + 110) / 4)
+    assert summary["grid_falls_peak_joint_torque_mean"] == 4.0
+    assert entry["peak_base_acceleration"] == 50.0
+    # Of all 256 means of four draws with repetition 2.5 % are 27.5 or less, and 72.5 or more.
+    assert entry["peak_base_acceleration_low"] == pytest.approx(27.5, abs=2.5)
+    assert entry["peak_base_acceleration_high"] == pytest.approx(72.5, abs=2.5)
+    assert summary["listed"]["(20, 0)"]["peak_joint_torque"] == 99.0
+
+
+def test_falls_are_compared_over_the_pushes_after_which_all_fell():
+    """Of five pushes of the grid: both fall after three, with peaks of twice and half as much."""
+    one = pd.DataFrame(
+        {
+            "impulse": [0.0] + [1.0] * 6,
+            "listed": [False] * 6 + [True],
+            "recovered": [True, True, False, False, False, False, False],
+            "peak_contact_force/torso": [0.0, 0, 0, 20, 40, 60, 999],
+            "peak_contact_force/head": [0.0, 0, 0, 0, 90, 0, 0],
+            "peak_base_acceleration": [10.0, 10, 10, 20, 40, 60, 999],
+            "peak_joint_torque": 2.0,
+        }
+    )
+    two = one.assign(
+        recovered=[True, True, True, False, False, False, False],
+        **{"peak_base_acceleration": 2 * one["peak_base_acceleration"], "peak_joint_torque": 1.0},
+    )
+    table = compare_falls({"one": one, "two": two}).set_index("run")
+    assert table["falls"].tolist() == [3, 3]
+    assert table["peak_base_acceleration"].tolist() == [40.0, 80.0]
+    assert table["peak_torso_head_force"].tolist() == pytest.approx([170 / 3] * 2)
+    for end in ("low", "high"):  # of every sample of pairs it is the same
+        assert table[f"peak_base_acceleration_ratio_{end}"].tolist() == pytest.approx([1.0, 0.5])
+        assert table[f"peak_joint_torque_ratio_{end}"].tolist() == pytest.approx([1.0, 2.0])

@@ -18,6 +18,7 @@ def record(regions: int, **values: torch.Tensor) -> TensorDict:
         "base_orientation": upright,
         "com_position": torch.tensor([[0.0, 0, 0.22]] * 3),
         "base_acceleration_peak": torch.full((3, 1), 9.81),
+        "joint_torque_peak": torch.full((3, 1), 0.5),
         "target": torch.zeros(3, 2),
         "joint_torque": torch.zeros(3, 20),
         "joint_velocity": torch.zeros(3, 20),
@@ -71,10 +72,16 @@ def test_peaks_count_for_half_a_second_after_the_touch_and_then_the_trial_is_set
         force, shock = torch.zeros(3, len(env.regions)), torch.full((3, 1), 10.0)
         force[0, 1] = 50.0 if step == 9 else 0.0
         shock[0] = {21: 70.0, 23: 99.0}.get(step, 10.0)
-        td = record(len(env.regions), contact_force_peak=force, base_acceleration_peak=shock)
+        td = record(
+            len(env.regions),
+            contact_force_peak=force,
+            base_acceleration_peak=shock,
+            joint_torque_peak=0.1 * shock,
+        )
         outcomes.update(td)
         assert outcomes.settled.tolist() == [step >= 22, False, False]
     assert outcomes.table()["peak_base_acceleration"][0] == 70.0
+    assert outcomes.table()["peak_joint_torque"][0] == 7.0
 
 
 @pytest.mark.parametrize(("length", "frequency"), [(50, 5.0), (50, 12.5), (51, 25 / 51 * 7)])

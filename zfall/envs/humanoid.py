@@ -55,6 +55,7 @@ class HumanoidEnv(EnvBase):
     joint_position           J         [rad]
     joint_velocity           J         [rad/s]
     joint_torque             J         of the servos, mean over the step [N m]
+    joint_torque_peak        1         largest of any joint over the step [N m]
     base_position            3         [m; world]
     base_orientation         4         (w, x, y, z), body to world
     projected_gravity        3         direction of gravity in body axes, a unit vector

@@ -17,7 +17,10 @@ _SIGNS: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(("base_angular_velocity", "angular_momentum"), _AXIAL),
     **dict.fromkeys(("base_orientation", "imu_orientation"), _QUATERNION),
     **dict.fromkeys(("tilt", "roll_pitch"), (-1.0, 1.0)),
-    **dict.fromkeys(("base_height", "base_acceleration_peak", "params/foot_friction"), (1.0,)),
+    **dict.fromkeys(
+        ("base_height", "base_acceleration_peak", "joint_torque_peak", "params/foot_friction"),
+        (1.0,),
+    ),
     "mode": (1.0, 1.0, 1.0),
     "params/slope": (1.0, -1.0),
     "command": tuple(-1.0 if name in ("vy", "yaw", "roll") else 1.0 for name in ENTRIES),

@@ -15,6 +15,7 @@ def observation_spec(robot: Robot, num_envs: int, *, with_ball: bool) -> Composi
         **dict.fromkeys(("base_position", "projected_gravity"), (3,)),
         **dict.fromkeys(("base_linear_velocity", "base_angular_velocity"), (3,)),
         **{"base_orientation": (4,), "base_acceleration": (3,), "base_acceleration_peak": (1,)},
+        "joint_torque_peak": (1,),
         **dict.fromkeys(("com_position", "com_velocity"), (3,)),
         **dict.fromkeys(("linear_momentum", "angular_momentum"), (3,)),
         **dict.fromkeys(("feet_position", "feet_velocity", "feet_force"), (2, 3)),

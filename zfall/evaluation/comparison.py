@@ -50,6 +50,25 @@ def bootstrap_interval(
     return float(interval.low), float(interval.high)
 
 
+def ratio_interval(
+    first: ArrayLike, second: ArrayLike, *, resamples: int = 9999, seed: int = 0
+) -> tuple[float, float]:
+    """Percentile bootstrap 95 % interval of ``mean(first) / mean(second)`` over their pairs."""
+    pairs = (np.asarray(first, dtype=float), np.asarray(second, dtype=float))
+    if len(pairs[0]) < 2 or np.array_equal(*pairs):
+        ratio = float(pairs[0].mean() / pairs[1].mean())
+        return ratio, ratio
+    interval = bootstrap(
+        pairs,
+        lambda one, two, axis: one.mean(axis) / two.mean(axis),
+        paired=True,
+        n_resamples=resamples,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return float(interval.low), float(interval.high)
+
+
 def interquartile_mean(values: ArrayLike, axis: int = 0) -> float:
     """Mean of the middle half.
 

@@ -12,10 +12,10 @@ SATURATED = 0.95  # share of the largest torque from which a servo counts as sat
 class Effort:
     """Sums over joints and control steps, from the push until a trial ends.
 
-    ``joint_torque_rms`` and ``joint_torque_peak`` [N m], of means over control steps; ``energy``
-    [J], of the absolute power torque x velocity: what a servo takes in when it brakes is not
-    given back; ``torque_saturation``, share of torques above 95 % of the servo's largest;
-    ``target_jerk`` [rad/s3], root mean square of the third difference of the joint targets.
+    ``joint_torque_rms`` [N m], of means over control steps; ``energy`` [J], of the absolute power
+    torque x velocity: what a servo takes in when it brakes is not given back;
+    ``torque_saturation``, share of torques above 95 % of the servo's largest; ``target_jerk``
+    [rad/s3], root mean square of the third difference of the joint targets.
 
     Args:
         env: the base env.
@@ -28,7 +28,7 @@ class Effort:
         self.limit = torch.tensor([float(high) for _, high in ranges])
         self.dt = env.control_dt
         self.steps, self.jerks = torch.zeros(n), torch.zeros(n)
-        self.torque, self.peak, self.energy = torch.zeros(n), torch.zeros(n), torch.zeros(n)
+        self.torque, self.energy = torch.zeros(n), torch.zeros(n)
         self.saturated, self.jerk = torch.zeros(n), torch.zeros(n)
         self._targets: list[Tensor] = []
 
@@ -37,7 +37,6 @@ class Effort:
         torque, share = td["joint_torque"], counted.float()
         self.steps += share
         self.torque += share * torque.square().mean(-1)
-        self.peak = torch.where(counted, torch.maximum(self.peak, torque.abs().amax(-1)), self.peak)
         power = (torque * td["joint_velocity"]).abs().sum(-1)
         self.energy += share * power * self.dt
         self.saturated += share * (torque.abs() > SATURATED * self.limit).float().mean(-1)
@@ -52,7 +51,6 @@ class Effort:
         """Columns ``(N,)``; not a number for a trial that was over before the push."""
         return {
             "joint_torque_rms": (self.torque / self.steps).sqrt(),
-            "joint_torque_peak": torch.where(self.steps > 0, self.peak, torch.nan),
             "energy": torch.where(self.steps > 0, self.energy, torch.nan),
             "torque_saturation": self.saturated / self.steps,
             "target_jerk": (self.jerk / self.jerks).sqrt(),

@@ -1,5 +1,6 @@
 """How a trial that was not recovered from ends: on the knees or not, and how hard."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.kneel import resting_kneel
+from zfall.evaluation.comparison import bootstrap_interval, ratio_interval
 from zfall.evaluation.statistics import wilson
 
 HOLD = 0.5  # time without a break that makes a kneel stable [s]
 RECOVER, KNEEL = 0, 1  # positions in ``mode``
+PEAKS = ("peak_base_acceleration", "peak_torso_head_force", "peak_joint_torque")
 
 
 class Kneeling:
@@ -98,14 +101,14 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
 
     Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` and
     ``untouched`` (without contact of torso or head: of the kneels, of all not recovered), each
-    with ``_low`` and ``_high``, its Wilson 95 % interval; ``null`` if there is nothing to count.
+    with ``_low`` and ``_high``, its Wilson 95 % interval, and the means of ``PEAKS`` over those
+    not recovered, with a bootstrap interval; ``null`` if there is nothing to count.
     ``grid_falls`` and the means are of the grid, whose pushes hardly anyone recovers from: over the
     list they would be over other pushes for each policy.
     """
     pushed = trials[trials["impulse"] > 0]
     grid, listed = pushed[~pushed["listed"]], pushed[pushed["listed"]]
     fallen = grid[~grid["recovered"]]
-    torso_head = fallen[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
     return {
         "by_impulse": {f"{size:g}": _outcomes(group) for size, group in grid.groupby("impulse")},
         "by_direction": {
@@ -117,10 +120,8 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
             for _, group in listed.groupby(["impulse", "direction_rad"], sort=False)
         },
         "grid_falls": len(fallen),
-        "grid_falls_peak_base_acceleration_mean": _mean(fallen["peak_base_acceleration"]),
-        "grid_falls_peak_torso_head_force_mean": _mean(torso_head),
+        **{f"grid_falls_{name}_mean": _mean(peaks) for name, peaks in peaks_of(fallen).items()},
         "grid_falls_impact_energy_mean": _mean(fallen["impact_energy"]),
-        "grid_falls_joint_torque_peak_mean": _mean(fallen["joint_torque_peak"]),
         "grid_kneel_time_s_mean": _mean(fallen["kneel_time_s"]),
     }
 
@@ -129,6 +130,13 @@ def _mean(values: pd.Series) -> float | None:
     """Mean of those that are numbers, if any is."""
     mean = float(values.mean())
     return None if np.isnan(mean) else mean
+
+
+def peaks_of(trials: pd.DataFrame) -> dict[str, pd.Series]:
+    """``PEAKS`` of each trial: acceleration [m/s2], force on torso or head [N], torque [N m]."""
+    torso_head = trials[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
+    values = (trials["peak_base_acceleration"], torso_head, trials["peak_joint_torque"])
+    return dict(zip(PEAKS, values, strict=True))
 
 
 def torso_or_head(trials: pd.DataFrame) -> pd.Series:
@@ -157,4 +165,32 @@ def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
         low, high = wilson(successes, count) if count else (None, None)
         out[name] = successes / count if count else None
         out[f"{name}_low"], out[f"{name}_high"] = low, high
+    for name, peaks in peaks_of(fallen).items():
+        known = peaks.dropna().tolist()  # of a fall before the push none is
+        out[name] = _mean(peaks)
+        low, high = bootstrap_interval(known) if known else (None, None)
+        out[f"{name}_low"], out[f"{name}_high"] = low, high
     return out
+
+
+def compare_falls(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Peaks of several policies over the pushes of the grid after which all of them fell.
+
+    Returns:
+        One row per name: ``falls``, and of each of ``PEAKS`` its mean and the bootstrap 95 %
+        interval over those pushes of the first run's mean divided by it.
+    """
+    grid = next(iter(runs.values()))
+    grid_rows = (grid["impulse"] > 0) & ~grid["listed"]
+    fell = grid_rows & np.logical_and.reduce([~trials["recovered"] for trials in runs.values()])
+    peaks = {name: peaks_of(trials[fell]) for name, trials in runs.items()}
+    first, *_ = peaks.values()
+    rows = []
+    for name, own in peaks.items():
+        row: dict[str, Any] = {"run": name, "falls": int(fell.sum())}
+        for key, values in own.items():
+            row[key] = _mean(values)
+            low, high = ratio_interval(first[key], values) if len(values) else (None, None)
+            row |= {f"{key}_ratio_low": low, f"{key}_ratio_high": high}
+        rows.append(row)
+    return pd.DataFrame(rows)

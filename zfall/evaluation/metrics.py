@@ -14,7 +14,7 @@ from zfall.evaluation.effort import Effort
 from zfall.evaluation.kneeling import Kneeling
 from zfall.evaluation.strategies import Strategies
 
-MEASURES = 2  # version of what the columns mean: raise it when that changes
+MEASURES = 3  # version of what the columns mean: raise it when that changes
 STANDING = 2.0  # time before the push in which smoothness is measured [s]
 
 
@@ -69,6 +69,7 @@ class Outcomes:
         self.time_to_fall = torch.full((n,), torch.nan)
         self.peak_base_acceleration = torch.zeros(n)
         self.peak_contact_force = torch.zeros(n, len(env.regions))
+        self.peak_joint_torque = torch.zeros(n)
         self.peak_tilt = torch.zeros(n)
         self.upright = torch.zeros(n, dtype=torch.bool)
         self._targets: list[Tensor] = []
@@ -100,6 +101,7 @@ class Outcomes:
             for name, value in (
                 ("peak_base_acceleration", td["base_acceleration_peak"].squeeze(-1)),
                 ("peak_contact_force", td["contact_force_peak"]),
+                ("peak_joint_torque", td["joint_torque_peak"].squeeze(-1)),
                 ("peak_tilt", angle),
             ):
                 peak = getattr(self, name)
@@ -122,6 +124,7 @@ class Outcomes:
             "peak_tilt": self.peak_tilt.numpy(),
             "peak_base_acceleration": self.peak_base_acceleration.numpy(),
             "peak_contact_force": body_peak.amax(-1).numpy(),
+            "peak_joint_torque": self.peak_joint_torque.numpy(),
             "target_smoothness": self._smoothness().numpy(),
         }
         measured = self.strategies.table(self.fell) | self.effort.table() | self.kneeling.table()
