@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import track
 from torchrl.envs import TransformedEnv
@@ -17,6 +17,7 @@ from torchrl.modules.utils import get_primers_from_module
 from recipes.one_line import check_keys, one_line_errors, shown_path, start
 from recipes.showcase import frame
 from recipes.tested import BASELINES, keep, load_run
+from zfall.envs.make import left_out
 from zfall.evaluation.battery import BLOCK, play
 from zfall.evaluation.video import film
 from zfall.modules.actors import recurrent_keys
@@ -39,6 +40,8 @@ def main(cfg: DictConfig) -> None:
         if not cfg.seconds >= (step := env.base_env.control_dt):
             raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")
     assert actor is not None
+    gone = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
+    console.print(f"of the env's transforms left out: {', '.join(gone) or 'nothing'}")
     if recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     env.set_seed(cfg.seed)

@@ -4,9 +4,11 @@ import math
 
 import pytest
 import torch
+from hydra.utils import instantiate
 from rich.console import Console
 
 from recipes.play import walk
+from recipes.tested import keep
 from tests.shell import TINY, run
 from zfall.envs.make import make_env
 from zfall.envs.transforms.actions import JointPositionTarget
@@ -44,6 +46,17 @@ def test_playing_a_run_writes_its_figures(tmp_path):
     done = run("play", f"run={tmp_path}", "seconds=0.2", "video=false")
     assert done.returncode == 0, done.stderr
     assert "forward_velocity" in (tmp_path / "play.json").read_text()
+    assert "left out: delay, push, noise" in done.stdout
+    done = run("play", f"run={tmp_path}", "seconds=0.2", "video=false", "keep=[start,push]")
+    assert "left out: delay, noise" in done.stdout
+
+
+@pytest.mark.parametrize("kept", [[], ["push"]])
+def test_pushes_are_there_if_they_are_kept(compose_config, kept):
+    often = ["env.transforms.push.interval=[0.0,0.1]", "num_envs=64"]
+    env = instantiate(keep(compose_config(*often).env, kept), training=False)
+    _, _, forces = walk(env, None, 1.0, Console(quiet=True))
+    assert (forces != 0).any() == bool(kept)
 
 
 def test_a_policy_that_ships_leaves_its_figures_in_hydras_folder(tmp_path):

@@ -1,16 +1,23 @@
 """The table of Atalante's task as a whole."""
 
+import math
+
 import pytest
 import torch
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
+from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.rewards import WeightedReward
 
 TERMS = {"odometry", "configuration", "feet_position", "feet_orientation", "capture_point",
          "zero_moment_point", "weight", "tangential", "turning"}  # fmt: skip
+# From Atalante, 135 kg with its center of mass at 0.95 m, to Zeroth-01.
+LENGTH, FORCE = ZEROTH01.com_height / 0.95, ZEROTH01.mass / 135
+TIME = math.sqrt(LENGTH)
 LIMITS = {"height", "tilt", "feet", "stops", "drift", "transient", "power"}
 QUIET = ["env.transforms.push.force=[0,0]"]
 _START = "env.transforms.start"
@@ -63,6 +70,41 @@ def test_rates_are_25_and_100_hz_over_a_physics_of_5_ms(build):
     assert (base.control_dt, base.physics_dt) == (0.04, 0.005)
     target = next(t for t in env.transform if isinstance(t, JointVelocityTarget))
     assert target.tick == pytest.approx(0.01)
+
+
+def test_limits_are_those_of_section_iv_c_scaled(compose_config):
+    """0.3 m of 0.95, 2 cm, 0.6 rad/s, 2 and 3 m, 3 kW; angles and times as they are."""
+    transforms = compose_config("env=atalante_standing").env.transforms
+    conditions = OmegaConf.to_container(transforms.terminations.conditions)
+    found = {k: {n: x for n, x in v.items() if n[0] != "_"} for k, v in conditions.items()}
+    trunk = 0.332017  # height of the base above the floor where it stands
+    expected = {
+        "height": {"height": 0.3 / 0.95 * trunk},
+        "tilt": {"roll": [-0.4, 0.4], "pitch": [-0.25, 0.7]},
+        "feet": {"distance": 0.02 * LENGTH},
+        "stops": {"speed": 0.6 / TIME},
+        "drift": {"x": 2.0 * LENGTH, "y": 3.0 * LENGTH, "heading": math.pi / 2},
+        "transient": {"error": 0.3},
+        "power": {"power": 3000 * FORCE * LENGTH / TIME},
+    }
+    assert set(found) == set(expected)
+    for name, values in expected.items():
+        assert set(found[name]) == set(values), name
+        for key, value in values.items():
+            assert found[name][key] == pytest.approx(value, rel=0.08), (name, key)
+    assert transforms.displacement.seconds == 20.0
+    assert transforms.joint_error.seconds == 4.0
+    assert transforms.joint_error.joints == "legs"
+
+
+def test_pushes_are_those_of_section_iv_a_scaled(compose_config):
+    """Bells of 800 N for 0.4 s at the pelvis, every 3 s with 2 s of jitter; also the preset's."""
+    for overrides in ([], ["+push=atalante"]):
+        push = compose_config("env=atalante_standing", *overrides).env.transforms.push
+        assert push.force == pytest.approx([800 * FORCE] * 2, rel=0.02)
+        assert push.duration == pytest.approx(0.4 * TIME, rel=0.02)
+        assert [x + push.duration for x in push.interval] == pytest.approx([1.0, 5.0])
+        assert (push.point, push.profile, push.direction) == ("pelvis", "gaussian", "spherical")
 
 
 def test_reward_is_a_normalised_sum_of_nine_and_next_to_1_at_rest(build):

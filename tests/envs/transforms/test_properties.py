@@ -4,7 +4,7 @@ import copy
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 from torchrl.envs import TransformedEnv
@@ -204,6 +204,8 @@ def test_specs_hold_with_everything_on():
 
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(TABLES, st.lists(st.booleans(), min_size=4, max_size=4).filter(any), st.integers(0, 99))
+@example(EVERYTHING, [True, False, True, False], 0)
+@example(("velocity", set(TABLE)), [False, False, True, False], 1)
 def test_partial_reset_equals_full_reset_on_its_rows(table, mask, seed):
     """Two equal envs, one reset in full, the other in some rows: those rows stay equal.
 
