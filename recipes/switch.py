@@ -57,7 +57,9 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     own = ("kneel_reference", "mode") if "kneel" in names else ()  # recovering alone needs none
     for name in (*INTERFACE, *own):
         env_cfg.transforms[name] = last.transforms.get(name)
-    env_cfg.transforms.mode.initial = "recover"
+    mode = env_cfg.transforms.mode
+    mode.initial = "recover"
+    mode.rest_speed = mode.rest_joint_speed = 0.1  # it does not explore: at rest means at rest
     env_cfg = changed(env_cfg, cfg.change)
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     spec, action_spec = env.observation_spec, env.action_spec

@@ -24,6 +24,8 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     config = OmegaConf.create(parts["both"]["config"])
     assert config.env.transforms.mode.probability == 0.9
     assert config.actor.begins  # as its episodes do
+    mode = config.env.transforms.mode  # in training rest may be 2 m/s
+    assert mode.rest_speed == mode.rest_joint_speed == 0.1
     for name in ("recover", "kneel"):
         for key, value in parts[name]["policy"].items():
             assert torch.equal(parts["both"]["policy"][f"{name}.{key}"], value)

@@ -1,6 +1,8 @@
 """What holds for every transform and every table of them."""
 
 import copy
+import re
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,12 +12,14 @@ from torch.testing import assert_close
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
 
+from zfall.envs import transforms
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 from zfall.envs.model import Ball
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
+_TERMS = "zfall.envs.terms"
 _ESTIMATION, _WINDOWS = "zfall.envs.transforms.estimation", "zfall.envs.transforms.windows"
 TARGETS = {
     "position": {"_target_": f"{_ACTIONS}.JointPositionTarget", "scale": 0.6},
@@ -100,6 +104,13 @@ TABLE = {  # in the order of a yaml
             }
         },
     },
+    "reward": {
+        "_target_": "zfall.envs.transforms.rewards.WeightedReward",
+        "terms": {
+            "effort": [-0.1, {"_target_": f"{_TERMS}.effort.joint_torque", "_partial_": True}],
+            "rate": [-0.1, {"_target_": f"{_TERMS}.effort.action_rate", "_partial_": True}],
+        },
+    },
     "limit": {"_target_": "torchrl.envs.StepCounter", "max_steps": 9},
     "curriculum": {
         "_target_": "zfall.envs.transforms.curriculum.Curriculum",
@@ -107,6 +118,7 @@ TABLE = {  # in the order of a yaml
         "fields": {"start.joint_position": [0.05, 0.1]},
     },
     "late": {"_target_": f"{_SENSING}.ObservationDelay", "delay": [0.0, 0.05], "keys": IMU},
+    "zero": {"_target_": f"{_RANDOM}.JointZeroOffset"},
     "askew": {"_target_": f"{_RANDOM}.ImuMisalignment", "angle": 0.03, "keys": IMU},
     "bias": {"_target_": f"{_SENSING}.ObservationBias", "std": {"base_angular_velocity": 0.02}},
     "walk": {"_target_": f"{_SENSING}.ObservationRandomWalk", "rate": {IMU[1]: 0.01}},
@@ -129,6 +141,7 @@ TABLE = {  # in the order of a yaml
     "mode": {"_target_": "zfall.envs.transforms.modes.ModeMachine", "hold": 0.08, "back": 0.08},
     "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
     "angles": {"_target_": f"{_SENSING}.TiltAngles"},
+    "differences": {"_target_": f"{_ESTIMATION}.NumericalVelocity"},
     "speed": {"_target_": f"{_ESTIMATION}.JointVelocityKalmanFilter"},
     "base_pose": {"_target_": f"{_SENSING}.BasePose"},
     "feet": {"_target_": f"{_SENSING}.FeetInBase"},
@@ -151,8 +164,9 @@ TABLES = st.tuples(
     st.sampled_from(list(TARGETS)),
     st.sets(st.sampled_from(list(TABLE)), min_size=1).map(lambda names: names | {"limit"}),
 )
-# Both measure the same; each goes with one kind of target.
-TILTS = {"position": "tilt", "velocity": "angles"}
+# Some measure the same; each goes with one kind of target.
+OF_TARGET = {"position": {"tilt", "speed"}, "velocity": {"angles", "differences"}}
+ELSEWHERE = {"ScriptedStart"}  # of Python alone, see test_starts.py
 EVERYTHING = ("position", set(TABLE))
 
 
@@ -164,9 +178,13 @@ def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
         names = names - {"kneel_reference"}  # changes position targets alone
     if names & {"stable", "kneel_reference"}:
         names = names | {"mode"}
+    if "zero" in names:
+        names = names | {"random"}
+    if "reward" in names:
+        names = names | {"last_action"}
     if "near" in names:
         names = names | {"observation"}
-    names = names - (set(TILTS.values()) - {TILTS[target]})
+    names = names - (set.union(*OF_TARGET.values()) - OF_TARGET[target])
     base = HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=Ball(mass=0.2, radius=0.03))
     chosen = {name: TABLE[name] for name in TABLE if name in names}
     torch.manual_seed(0)  # of the networks that transforms bring
@@ -189,6 +207,17 @@ def equal(one, other, rows=slice(None)) -> None:
     assert set(one.keys(True, True)) == set(other.keys(True, True))
     for key in one.keys(True, True):
         assert torch.equal(one[key][rows], other[key][rows]), key
+
+
+def test_no_transform_is_missing_here():
+    folder = Path(transforms.__file__).parent
+    texts = (path.read_text() for path in folder.rglob("*.py"))
+    there = {
+        name for text in texts for name in re.findall(r"^class (\w+)\(Transform\)", text, re.M)
+    }
+    built = {type(t).__name__ for target in TARGETS for t in build((target, set(TABLE))).transform}
+    assert len(there) > 40
+    assert there <= built | ELSEWHERE
 
 
 @settings(max_examples=10, deadline=None, derandomize=True)

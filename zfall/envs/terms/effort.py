@@ -1,4 +1,8 @@
-"""What motion costs."""
+"""What motion costs.
+
+Source, where a term names no other: the rewards of the Zeroth-fall report and of its design notes,
+with the formulas of the public template that it began with.
+"""
 
 import torch
 from tensordict import TensorDictBase

@@ -1,4 +1,8 @@
-"""Conditions under which a robot counts as fallen."""
+"""Conditions under which a robot counts as fallen.
+
+Source: the tasks of Ferigo et al. 2021 (contact) and of the Zeroth-fall report (height); the tilt
+is ours.
+"""
 
 import math
 

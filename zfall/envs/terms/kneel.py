@@ -1,4 +1,8 @@
-"""How a robot goes down on its knees, and whether it rests there."""
+"""How a robot goes down on its knees, and whether it rests there.
+
+Source: the kneel rewards of the design notes of the Zeroth-fall project, which name what counts
+and how much; kernels and scales are ours.
+"""
 
 from collections.abc import Callable, Sequence
 

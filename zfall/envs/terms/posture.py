@@ -1,4 +1,8 @@
-"""How the body stands and whether it lives."""
+"""How the body stands and whether it lives.
+
+Source, where a term names no other: the rewards of the Zeroth-fall report and of its design notes;
+kernels are ours.
+"""
 
 import torch
 from tensordict import TensorDictBase

@@ -2,6 +2,9 @@
 
 Velocities are those of the base in its own axes, x forward and y to the left, as a velocimeter on
 it would read them.
+
+Source: the rewards of the Zeroth-fall report, with the formulas of the public template that it
+began with.
 """
 
 from tensordict import TensorDictBase
