@@ -21,7 +21,7 @@ from torchrl.envs import TransformedEnv
 
 from recipes.learner import Learner
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.peers import measure_peers
+from recipes.peers import measure_peers, memory_per_world
 from recipes.train import garbage_collector_of_new_things
 from zfall.envs.threads import physics_first
 
@@ -44,8 +44,9 @@ def main(cfg: DictConfig) -> None:
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():
-        speed = not key.startswith(("transform/", "loss/")) and not key.endswith("_efficiency")
-        out.add_row(key, f"{value:.0f} control steps/s" if speed else f"{value:.3f}")
+        share = key.startswith(("transform/", "loss/")) or key.endswith("_efficiency")
+        unit = "KiB" if key == "memory_per_world" else "control steps/s"
+        out.add_row(key, f"{value:.3f}" if share else f"{value:.0f} {unit}")
     console.print(out, f"wrote {folder}/bench.json")
 
 
@@ -84,6 +85,8 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     report("transforms")
     results |= full_stepper.transform_shares(cfg.seconds / 2)
     if cfg.peers:
+        report("memory")
+        results["memory_per_world"] = memory_per_world()
         results |= measure_peers(torch.stack(stepper.actions), cfg.seconds / 2, report)
     return results
 

@@ -4,10 +4,11 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from pathlib import Path
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -40,13 +41,18 @@ def shown_path(path: Path) -> str:
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Ends the program with exit code 1 and one line for errors that the user can repair."""
+    """Ends the program with exit code 1 and one line for errors that the user can repair.
+
+    The folder that hydra has made for it goes too, if it is empty.
+    """
+    known = (InstantiationException, ValueError, OSError, HydraException, OmegaConfBaseException)
     try:
         yield
-    except InstantiationException as error:
+    except known as error:
+        if HydraConfig.initialized():
+            with suppress(OSError, OmegaConfBaseException):
+                Path(HydraConfig.get().runtime.output_dir).rmdir()
         raise SystemExit(f"error: {in_one_line(error)}") from None
-    except (ValueError, OSError, HydraException, OmegaConfBaseException) as error:
-        raise SystemExit(f"error: {_flat(str(error))}") from None
 
 
 def in_one_line(error: BaseException) -> str:

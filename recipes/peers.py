@@ -8,11 +8,17 @@ dm_control face's do the whole task of ``push_recovery``; TorchRL's does the sim
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 from typing import Any
 
 import mujoco
 import torch
 from gymnasium.vector import AsyncVectorEnv
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -51,6 +57,24 @@ def measure_peers(
         counts = sorted({cores, min(MANY, actions.shape[1])})
         speeds[f"peer/{name}"] = max(run(actions[:, :n], seconds) for n in counts)
     return speeds
+
+
+def memory_per_world(few: int = 256, many: int = 1024) -> float:
+    """What a world more takes in env and step [KiB], by the peaks of two processes."""
+    spawned = get_context("spawn")
+    with ProcessPoolExecutor(1, spawned) as one, ProcessPoolExecutor(1, spawned) as other:
+        low, high = (
+            pool.submit(peak_memory, n).result() for pool, n in ((one, few), (other, many))
+        )
+    return (high - low) / (many - few)
+
+
+def peak_memory(num_envs: int) -> int:
+    """Largest memory of this process after some steps of the quickstart's env [KiB]."""
+    with initialize_config_dir(str(Path(__file__).parent), version_base=None):
+        env = instantiate(compose("train", overrides=[f"num_envs={num_envs}"]).env)
+    env.rollout(8, break_when_any_done=False)
+    return getrusage(RUSAGE_SELF).ru_maxrss
 
 
 def run_parallel_env_dm_control(actions: Tensor, seconds: float) -> float:

@@ -38,6 +38,8 @@ def test_bench_measures_the_peers_too(tmp_path):
     figures = json.loads((tmp_path / "bench.json").read_text())
     names = ("parallel_env_dm_control", "torchrl_mujoco_env", "gymnasium_async")
     assert all(figures[f"peer/{name}"] > 0 for name in names)
+    # State and sensors of ten physics steps in float64, some hundred numbers each, and copies.
+    assert 20 < figures["memory_per_world"] < 2000
 
 
 def test_best_number_of_workers_is_what_counts(monkeypatch):

@@ -1,6 +1,7 @@
 """What a run writes down."""
 
 import pandas as pd
+import pytest
 
 from recipes.run_folder import RunFolder
 from tests.shell import TINY, run
@@ -18,6 +19,14 @@ def test_rows_of_metrics_keep_their_columns_when_no_episode_ends(tmp_path):
     assert (ended["episode_seconds"] - 0.2).abs().max() < 1e-6
     assert (metrics["reward/survival"] - 0.1).abs().max() < 1e-6
     assert (metrics["kl"] >= 0).all()
+
+
+@pytest.mark.parametrize("recipe", ["evaluate", "play", "export", "trigger", "falls"])
+def test_a_recipe_that_is_refused_leaves_no_folder(recipe, tmp_path):
+    done = run(recipe, "run=nowhere", f"hydra.run.dir={tmp_path}/new")
+    assert done.returncode == 1
+    assert "there is no folder nowhere" in done.stderr
+    assert not (tmp_path / "new").exists()
 
 
 def test_the_best_checkpoint_is_the_hardest_level_then_the_highest_return(tmp_path):

@@ -49,7 +49,7 @@ BAD = [
     (["num_envs=0"], "num_envs must be at least 1, got 0"),
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
-    (["total_frames=.inf"], "total_frames must be a positive number, got inf"),
+    (["total_frames=inf"], "total_frames must be a positive number, got inf"),
     (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
@@ -126,7 +126,16 @@ def test_a_folder_that_holds_a_run_is_not_trained_into(trained):
     done = run("train", *TINY, "seed=5", f"hydra.run.dir={trained}")
     assert done.returncode != 0
     assert f"hydra.run.dir must be a folder without a run, {trained} holds one" in done.stderr
+    assert "goes on with it" in done.stderr
     assert [(trained / name).read_text() for name in names] == before
+
+
+def test_a_run_that_ended_before_its_first_checkpoint_is_to_be_removed(tmp_path):
+    """There is nothing to go on from."""
+    (tmp_path / "metrics.csv").write_text("frames\n")
+    done = run("train", *TINY, f"hydra.run.dir={tmp_path}")
+    assert done.returncode != 0
+    assert f"{tmp_path} holds one without a checkpoint; remove it" in done.stderr
 
 
 def test_a_sweep_trains_each_value_in_a_folder_of_its_own(tmp_path, monkeypatch):
