@@ -8,10 +8,12 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
-from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
 from zfall.envs.transforms.curriculum import Curriculum
+from zfall.envs.transforms.modes import ModeMachine
 from zfall.envs.transforms.observations import ObservationNoise
 from zfall.envs.transforms.pushes import RandomPush
+from zfall.envs.transforms.terminations import time_limit
 
 TABLE = {
     "action": (JointPositionTarget, {"scale": 1.0}),
@@ -20,6 +22,9 @@ TABLE = {
         {"point": "torso", "size": [0.1, 0.2], "duration": 0.1, "interval": [0.5, 1]},
     ),
     "noise": (ObservationNoise, {"std": {"joint_position": 0.01}}),
+    "delay": (ActuatorDelay, {"delay": [0.0, 0.004]}),
+    "mode": (ModeMachine, {}),
+    "limit": (time_limit, {"seconds": 100.0}),
 }
 
 
@@ -100,6 +105,22 @@ def test_pushes_of_a_world_have_the_size_of_its_level(make_task):
         assert_close(size[pushed], torch.full_like(size[pushed], expected))
 
 
+def test_delays_of_a_world_are_those_of_its_level(make_task):
+    """0 at level 0, 20 ms at level 1, 8 ms between them: the command of so many steps ago."""
+    env = course(make_task, {"delay.delay": [[0.0, 0.0], [0.02, 0.02]]})
+    curriculum, base = find(env, Curriculum), env.base_env
+    curriculum.level = torch.tensor([0.0, 0.4, 1.0, 1.0])
+    curriculum._move()
+    seen, step = [], base._step
+    base._step = lambda td: seen.append(td["control"].clone()) or step(td)
+    td = env.reset()
+    for action in (0.0, 0.1):
+        td["action"] = torch.full((4, 20), action)
+        td = env.step(td)["next"]
+    changed = (seen[1] - seen[0]).abs().amax(-1) > 0.05  # (4, 10)
+    assert (~changed).sum(1).tolist() == [0, 2, 5, 5]
+
+
 def test_a_restored_level_moves_the_fields(make_task):
     fields = {"push.size": [[0.1, 0.1], [0.5, 0.5]]}
     env, other = course(make_task, fields), course(make_task, fields)
@@ -116,6 +137,8 @@ def test_a_restored_level_moves_the_fields(make_task):
     ({"push.force": [1, 2]}, "fields.push.force must be a number or a pair, it is None"),
     ({"push.direction": [0, 1]}, "must be a number or a pair, it is 'planar'"),
     ({"push.size": [[0.1, 0.2]]}, "fields.push.size must hold at least two stages"),
+    ({"limit.max_steps": [10, 20]}, "fields.limit.max_steps must stay: it counts steps"),
+    ({"mode.rule.hold": [1, 5]}, "fields.mode.rule.hold must stay: it counts steps"),
 ])  # fmt: skip
 def test_bad_fields_are_refused(make_task, fields, message):
     with pytest.raises(ValueError, match=message):

@@ -11,6 +11,8 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 
+_COUNTS = {"steps", "max_steps", "rule"}  # fields in whole steps, not of one world
+
 
 class Curriculum(Transform):
     """Gives every world a level in [0, 1] that success raises, and moves other transforms by it.
@@ -92,6 +94,8 @@ class Curriculum(Transform):
             for part in middle:
                 owner = _read(owner, part, name)
             value = _read(owner, last, name)
+            if _COUNTS & {*middle, last}:
+                raise ValueError(f"fields.{name} must stay: it counts steps, of all worlds alike.")
             if last in getattr(owner, "not_movable", ()):
                 raise ValueError(
                     f"fields.{name} must stay: the times between pushes follow from it."

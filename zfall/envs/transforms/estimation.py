@@ -18,7 +18,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import roll_and_pitch
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 
 
 def steady_update(kalman: KalmanFilter) -> Tensor:

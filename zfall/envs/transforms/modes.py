@@ -16,7 +16,7 @@ from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.terms.kneel import resting_kneel
 from zfall.envs.transforms.observations.measured import read_measured
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 
 MODES = ("recover", "kneel", "stable")
 RECOVER, KNEEL, STABLE = range(3)

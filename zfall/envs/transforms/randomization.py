@@ -11,7 +11,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import rotate
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 
 _KINDS = ("uniform", "log_uniform", "normal")
 

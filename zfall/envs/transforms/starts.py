@@ -8,7 +8,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import Transform
-from torchrl.envs.transforms.utils import _get_reset
 
 from zfall.envs.humanoid import START_KEYS, STATE_KEYS, HumanoidEnv
 from zfall.envs.motions import load_motions
@@ -239,8 +238,3 @@ def _turn(states: dict[str, Tensor], angle: Tensor) -> None:
     x, y, z = states["base_linear_velocity"].unbind(-1)
     states["base_linear_velocity"] = torch.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
     states["base_orientation"] = turned(states["base_orientation"], angle)
-
-
-def reset_rows(tensordict: TensorDictBase) -> Tensor:
-    """The worlds that a reset touches ``(N,)`` bool."""
-    return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)

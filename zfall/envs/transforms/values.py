@@ -1,6 +1,13 @@
-"""Numbers of a transform that may differ from world to world."""
+"""What of a transform differs from world to world: its numbers, and when an episode begins."""
 
+from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs.transforms.utils import _get_reset
+
+
+def reset_rows(tensordict: TensorDictBase) -> Tensor:
+    """The worlds that a reset touches ``(N,)`` bool."""
+    return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)
 
 
 def per_world(value: float | Tensor, dims: int) -> float | Tensor:

@@ -11,8 +11,7 @@ from zfall.envs.catches import load_catches
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import turn_to_heading
 from zfall.envs.transforms.observations.measured import read_measured
-from zfall.envs.transforms.starts import reset_rows
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import per_world, reset_rows
 
 
 class KneelReference(Transform):

@@ -7,8 +7,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands
-from zfall.envs.transforms.starts import reset_rows
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import per_world, reset_rows
 
 
 class LowPass(Transform):

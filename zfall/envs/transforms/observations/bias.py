@@ -13,8 +13,7 @@ from zfall.envs.transforms.observations.measured import (
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.starts import reset_rows
-from zfall.envs.transforms.values import check_not_negative, per_world
+from zfall.envs.transforms.values import check_not_negative, per_world, reset_rows
 
 
 class ObservationBias(Transform):

@@ -9,7 +9,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.observations.measured import declare_measured, measured_key
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 
 
 class ObservationDelay(Transform):

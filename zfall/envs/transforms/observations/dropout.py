@@ -13,7 +13,7 @@ from zfall.envs.transforms.observations.measured import (
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 
 
 class ObservationDropout(Transform):

@@ -10,8 +10,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.robots import GRAVITY
 from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
-from zfall.envs.transforms.starts import reset_rows
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import per_world, reset_rows
 
 
 class ThrownBall(Transform):

@@ -7,7 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 
 
 class FeetAirTime(Transform):

@@ -8,7 +8,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rotations import heading, wrap
-from zfall.envs.transforms.starts import reset_rows
+from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
 
 
