@@ -242,7 +242,7 @@ class Learner:
         means |= {"kl": divergence, "passes": passes}
         if any(drawn) and cfg.epochs * cfg.minibatches > 1:  # before the only step it is 0
             if self.scheduler is not None:
-                self.scheduler.step(max(divergence, 1e-6))
+                self.scheduler.step(max(divergence, 1e-6))  # 0 would leave it where nothing moves
             self.loss.adapt(divergence)
         of_actor, of_critic = normalizer_of(self.actor), normalizer_of(self.critic)
         if of_actor is not None:

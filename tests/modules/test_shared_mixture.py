@@ -110,3 +110,18 @@ def test_compiled_it_is_the_same():
     compiled = torch.compile(figures, backend="aot_eager", fullgraph=True)
     for value, expected in zip(compiled(*args), figures(*args), strict=True):
         assert_close(value, expected)
+
+
+def test_mode_is_the_highest_point_of_a_grid_for_two_thousand_mixtures():
+    """Over two joints, wide and narrow, half of them overlapping; maxima lie between the means."""
+    steps = torch.linspace(0, 1, 101, dtype=torch.float64)
+    grid = torch.cartesian_prod(steps, steps)[:, None]
+    for _ in range(20):
+        logits = torch.randn(100, 3, dtype=torch.float64)
+        scale = 10 ** torch.empty(100, 3, 2, dtype=torch.float64).uniform_(-1, 0)
+        near = torch.rand(100, 1, 1) < 0.5
+        loc = torch.randn(100, 3, 2, dtype=torch.float64) * torch.where(near, 0.3, 1.0)
+        ours = SharedMixtureOfGaussians(logits, loc, scale)
+        low, high = loc.amin(1), loc.amax(1)
+        best = ours.log_prob(low + (high - low) * grid).amax(0)
+        assert (ours.log_prob(ours.mode) > best - 1e-4).all()
