@@ -72,14 +72,20 @@ class SharedMixtureOfGaussians(Distribution):
 
     @property
     def mode(self) -> Tensor:
-        """Most likely action ``(*B, J)``: the highest of the maxima above the components' means.
+        """Most likely action ``(*B, J)``: the highest of the maxima that climbers find.
 
-        Climbs from the mean of every component by the mean-shift fixed point. In several
-        dimensions a mixture may have a maximum that none of them leads to; where components
-        overlap so little as those of a policy that has made up its mind, it has not.
+        They climb by the mean-shift fixed point from the mean of every component and from between
+        every two, where the product of their densities is highest. In several dimensions a mixture
+        may have a maximum that none of them leads to.
+
+        Source: Ray & Lindsay, "The topography of multivariate normal mixtures", Annals of
+        Statistics 2005: between two components maxima lie on the curve of weighted such points.
         """
-        value = self.loc.movedim(-2, 0)  # one climber per component
         precision = self.scale.square().reciprocal()
+        count = self.loc.shape[-2]
+        pairs = torch.triu_indices(count, count, 1).T
+        between = (precision * self.loc)[..., pairs, :].sum(-2) / precision[..., pairs, :].sum(-2)
+        value = torch.cat([self.loc, between], -2).movedim(-2, 0)  # the climbers
         for _ in range(_CLIMB):
             weight = self._component_log_prob(value).softmax(-1).unsqueeze(-1) * precision
             value = (weight * self.loc).sum(-2) / weight.sum(-2)
