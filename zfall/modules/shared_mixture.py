@@ -1,12 +1,14 @@
 """A mixture of Gaussians over the whole action."""
 
+from itertools import combinations
+
 import torch
 from torch import Tensor
 from torch.distributions import Distribution, constraints, register_kl
 
 from zfall.modules.mixture import HALF_LOG_2PI
 
-_CLIMB = 30  # steps of the mean shift
+_CLIMB = 60  # steps of the mean shift
 
 
 class SharedMixtureOfGaussians(Distribution):
@@ -82,10 +84,13 @@ class SharedMixtureOfGaussians(Distribution):
         Statistics 2005: between two components maxima lie on the curve of weighted such points.
         """
         precision = self.scale.square().reciprocal()
-        count = self.loc.shape[-2]
-        pairs = torch.triu_indices(count, count, 1).T
-        between = (precision * self.loc)[..., pairs, :].sum(-2) / precision[..., pairs, :].sum(-2)
-        value = torch.cat([self.loc, between], -2).movedim(-2, 0)  # the climbers
+        means, narrow = self.loc.unbind(-2), precision.unbind(-2)
+        pairs = combinations(range(len(means)), 2)
+        between = [
+            (narrow[i] * means[i] + narrow[j] * means[j]) / (narrow[i] + narrow[j])
+            for i, j in pairs
+        ]
+        value = torch.stack([*means, *between])  # the climbers
         for _ in range(_CLIMB):
             weight = self._component_log_prob(value).softmax(-1).unsqueeze(-1) * precision
             value = (weight * self.loc).sum(-2) / weight.sum(-2)
