@@ -93,12 +93,12 @@ class Quantities:
         qpos, qvel, last = qpos.float(), qvel.float(), sensors[:, -1].float()
         orientation = qpos[:, 3:7].contiguous()
         acceleration = sensors[..., self._acceleration].float()
-        torque = sensors[..., self._torque].float()
+        torque = sensors[..., self._torque]
         out = {
             "joint_position": qpos.index_select(1, self.qpos_index),
             "joint_velocity": qvel.index_select(1, self.qvel_index),
-            "joint_torque": torque.mean(1),
-            "joint_torque_peak": torque.abs().amax((1, 2)).unsqueeze(1),
+            "joint_torque": torque.mean(1).float(),
+            "joint_torque_peak": torque.abs().amax((1, 2)).unsqueeze(1).float(),
             "base_position": qpos[:, :3].contiguous(),
             "base_orientation": orientation,
             "projected_gravity": _gravity(orientation, gravity),
