@@ -64,7 +64,7 @@ def show(learner: Learner, untrained: dict[str, Tensor], folder: Path, console: 
     if cfg.showcase.video:
         with console.status("video"):
             video(battery, cfg.env, actor, folder / "video.mp4", console)
-    console.print(f"run folder: {folder}")
+    console.print(f"run folder: {shown_path(folder)}")
     console.print("  metrics.csv, timing.csv, tensorboard/, checkpoints/{last,best}.pt")
     film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
     console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
