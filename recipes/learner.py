@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDictBase
+from tensordict import TensorDictBase, unravel_key
 from tensordict.nn import TensorDictSequential
 from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel
@@ -134,10 +134,12 @@ class Learner:
                 f"got {cfg.minibatches}."
             )
         self.carrier = self.env.reset()
-        given = {*self.carrier.keys(True, True), *self._acting.out_keys}
+        given = {*self.carrier.keys(True, True), *self._acting.out_keys, *self.env.reward_keys}
+        given |= {"state_value", "advantage", "value_target"}
         for name, loss in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
             for key in loss.in_keys:
-                if (key[1] if isinstance(key, tuple) and key[0] == "next" else key) not in given:
+                here = unravel_key(key[1:]) if isinstance(key, tuple) and key[0] == "next" else key
+                if here not in given:
                     raise ValueError(
                         f"auxiliary_losses.{name} must read what env or networks give, not {key}."
                     )

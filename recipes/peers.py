@@ -11,7 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from resource import RUSAGE_SELF, getrusage
 from typing import Any
 
 import mujoco
@@ -70,11 +69,15 @@ def memory_per_world(few: int = 256, many: int = 1024) -> float:
 
 
 def peak_memory(num_envs: int) -> int:
-    """Largest memory of this process after some steps of the quickstart's env [KiB]."""
+    """Largest memory of this process in some steps of the quickstart's env [KiB]."""
     with initialize_config_dir(str(Path(__file__).parent), version_base=None):
         env = instantiate(compose("train", overrides=[f"num_envs={num_envs}"]).env)
-    env.rollout(8, break_when_any_done=False)
-    return getrusage(RUSAGE_SELF).ru_maxrss
+    td = env.reset()
+    for _ in range(8):
+        _, td = env.step_and_maybe_reset(env.rand_action(td))
+    # Not getrusage's, which a process inherits from the one that started it.
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0])
 
 
 def run_parallel_env_dm_control(actions: Tensor, seconds: float) -> float:

@@ -14,7 +14,14 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.tested import INTERFACE, begins_kneeling, changed, check_same_interface, checkpoint_of
+from recipes.tested import (
+    INTERFACE,
+    begins_kneeling,
+    changed,
+    check_same_interface,
+    checkpoint_of,
+    without_exploration,
+)
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 from zfall.modules.switched import SwitchedActor, still_actor
@@ -57,10 +64,8 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
     own = ("kneel_reference", "mode") if "kneel" in names else ()  # recovering alone needs none
     for name in (*INTERFACE, *own):
         env_cfg.transforms[name] = last.transforms.get(name)
-    mode = env_cfg.transforms.mode
-    mode.initial = "recover"
-    mode.rest_speed = mode.rest_joint_speed = 0.1  # it does not explore: at rest means at rest
-    env_cfg = changed(env_cfg, cfg.change)
+    env_cfg.transforms.mode.initial = "recover"
+    env_cfg = changed(without_exploration(env_cfg), cfg.change)
     env = instantiate(env_cfg, base_env={"num_envs": 1})
     spec, action_spec = env.observation_spec, env.action_spec
     actors = []

@@ -143,9 +143,17 @@ def scripted(env_cfg: DictConfig, run: str) -> DictConfig:
     """
     if env_cfg.transforms.get("kneel_reference") is None:
         raise ValueError(f"{run} needs an env with modes: env=push_to_kneel.")
-    new = env_cfg.copy()
+    new = without_exploration(env_cfg)
     if run == "scripted_kneel":  # nothing is fast enough for another movement
         OmegaConf.update(new, "transforms.kneel_reference.moving", math.inf, force_add=True)
+    return new
+
+
+def without_exploration(env_cfg: DictConfig) -> DictConfig:
+    """The env's config with modes to which rest is rest, not what exploration leaves of it."""
+    new = env_cfg.copy()
+    for key in ("rest_speed", "rest_joint_speed"):  # [m/s and rad/s]
+        OmegaConf.update(new, f"transforms.mode.{key}", 0.1, force_add=True)
     return new
 
 

@@ -13,6 +13,7 @@ from zfall.evaluation.comparison import (
     interquartile_mean,
     mcnemar,
     performance_profile,
+    ratio_interval,
 )
 
 
@@ -42,6 +43,19 @@ def test_bootstrap_of_many_values_is_the_normal_interval():
     assert high == pytest.approx(values.mean() + half, abs=0.03)
     assert bootstrap_interval(values) == (low, high)
     assert bootstrap_interval([0.7]) == (0.7, 0.7)
+
+
+def test_bootstrap_of_a_ratio_is_the_interval_of_its_linearisation():
+    """Pairs that share a factor: deviation of ``(x - r y) / mean(y)`` / sqrt(400), times 1.96."""
+    rng = np.random.default_rng(0)
+    shared = rng.uniform(1.0, 3.0, 400)
+    x, y = shared * rng.uniform(0.5, 1.0, 400), shared * rng.uniform(0.9, 1.1, 400)
+    low, high = ratio_interval(x, y)
+    ratio = x.mean() / y.mean()
+    half = stats.norm.ppf(0.975) * ((x - ratio * y) / y.mean()).std() / 20
+    assert low == pytest.approx(ratio - half, abs=0.1 * half)
+    assert high == pytest.approx(ratio + half, abs=0.1 * half)
+    assert ratio_interval(x, x) == (1.0, 1.0)
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_either_end():

@@ -157,6 +157,7 @@ def test_summary_by_hand():
             "impact_energy": 1.0,
             "peak_joint_torque": [0.0] * 3 + [2.0, 3.0, 4.0, 7.0] + [0.0, 99.0],
             "kneel_time_s": 0.5,
+            "time_to_fall_s": 0.3,
         }
     )
     summary = summarize_kneel(trials)
@@ -175,14 +176,22 @@ def test_summary_by_hand():
     assert summary["grid_falls_peak_torso_head_force_mean"] == pytest.approx((30 + 110) / 4)
     assert summary["grid_falls_peak_joint_torque_mean"] == 4.0
     assert entry["peak_base_acceleration"] == 50.0
-    # Of all 256 means of four draws with repetition 2.5 % are 27.5 or less, and 72.5 or more.
-    assert entry["peak_base_acceleration_low"] == pytest.approx(27.5, abs=2.5)
-    assert entry["peak_base_acceleration_high"] == pytest.approx(72.5, abs=2.5)
+    assert entry["peak_base_acceleration_low"] is None  # of four there is no interval
     assert summary["listed"]["(20, 0)"]["peak_joint_torque"] == 99.0
+    many = pd.concat([trials] * 5, ignore_index=True)
+    entry = summarize_kneel(many)["by_impulse"]["1"]  # 20 falls, deviation of their mean 5
+    assert entry["peak_base_acceleration"] == 50.0
+    assert entry["peak_base_acceleration_low"] == pytest.approx(50 - 1.96 * 5, abs=1.0)
+    assert entry["peak_base_acceleration_high"] == pytest.approx(50 + 1.96 * 5, abs=1.0)
+    lying = trials.assign(time_to_fall_s=-1.0)  # when the push came
+    assert summarize_kneel(lying)["by_impulse"]["1"]["peak_base_acceleration"] is None
 
 
 def test_falls_are_compared_over_the_pushes_after_which_all_fell():
-    """Of five pushes of the grid: both fall after three, with peaks of twice and half as much."""
+    """Of five pushes of the grid: both fall after three, with peaks of twice and half as much.
+
+    Ten times over, and one more that one of the two met lying on the floor.
+    """
     one = pd.DataFrame(
         {
             "impulse": [0.0] + [1.0] * 6,
@@ -192,16 +201,22 @@ def test_falls_are_compared_over_the_pushes_after_which_all_fell():
             "peak_contact_force/head": [0.0, 0, 0, 0, 90, 0, 0],
             "peak_base_acceleration": [10.0, 10, 10, 20, 40, 60, 999],
             "peak_joint_torque": 2.0,
+            "time_to_fall_s": 0.3,
         }
     )
+    one = pd.concat([*[one] * 10, one.iloc[3:4]], ignore_index=True)
     two = one.assign(
-        recovered=[True, True, True, False, False, False, False],
+        recovered=[*[True, True, True, False, False, False, False] * 10, False],
+        time_to_fall_s=[*[0.3] * 70, -0.2],
         **{"peak_base_acceleration": 2 * one["peak_base_acceleration"], "peak_joint_torque": 1.0},
     )
+    still = one.assign(peak_joint_torque=0.0)
     table = compare_falls({"one": one, "two": two}).set_index("run")
-    assert table["falls"].tolist() == [3, 3]
+    assert table["falls"].tolist() == [30, 30]
     assert table["peak_base_acceleration"].tolist() == [40.0, 80.0]
     assert table["peak_torso_head_force"].tolist() == pytest.approx([170 / 3] * 2)
     for end in ("low", "high"):  # of every sample of pairs it is the same
         assert table[f"peak_base_acceleration_ratio_{end}"].tolist() == pytest.approx([1.0, 0.5])
         assert table[f"peak_joint_torque_ratio_{end}"].tolist() == pytest.approx([1.0, 2.0])
+    beside = compare_falls({"one": one, "still": still}).set_index("run")
+    assert np.isnan(beside["peak_joint_torque_ratio_low"]["still"])  # nothing to divide by

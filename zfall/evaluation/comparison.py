@@ -35,7 +35,10 @@ def bootstrap_interval(
     resamples: int = 9999,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval of a statistic over seeds; equal values are their own."""
+    """Percentile bootstrap interval of a statistic over seeds, or over trials of one plan.
+
+    Equal values are their own.
+    """
     data = np.asarray(values, dtype=float)
     if len(data) < 2 or np.ptp(data) == 0.0:
         return float(statistic(data)), float(statistic(data))
@@ -55,9 +58,8 @@ def ratio_interval(
 ) -> tuple[float, float]:
     """Percentile bootstrap 95 % interval of ``mean(first) / mean(second)`` over their pairs."""
     pairs = (np.asarray(first, dtype=float), np.asarray(second, dtype=float))
-    if len(pairs[0]) < 2 or np.array_equal(*pairs):
-        ratio = float(pairs[0].mean() / pairs[1].mean())
-        return ratio, ratio
+    if np.array_equal(*pairs):
+        return 1.0, 1.0
     interval = bootstrap(
         pairs,
         lambda one, two, axis: one.mean(axis) / two.mean(axis),

@@ -16,6 +16,7 @@ from zfall.evaluation.statistics import wilson
 
 HOLD = 0.5  # time without a break that makes a kneel stable [s]
 RECOVER, KNEEL = 0, 1  # positions in ``mode``
+FEW = 10  # trials below which a mean has no interval
 PEAKS = ("peak_base_acceleration", "peak_torso_head_force", "peak_joint_torque")
 
 
@@ -102,7 +103,8 @@ def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
     Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` and
     ``untouched`` (without contact of torso or head: of the kneels, of all not recovered), each
     with ``_low`` and ``_high``, its Wilson 95 % interval, and the means of ``PEAKS`` over those
-    not recovered, with a bootstrap interval; ``null`` if there is nothing to count.
+    not recovered, but for those that fell before the push, with a bootstrap interval over trials
+    if there are ten; ``null`` if there is nothing to count.
     ``grid_falls`` and the means are of the grid, whose pushes hardly anyone recovers from: over the
     list they would be over other pushes for each policy.
     """
@@ -139,6 +141,11 @@ def peaks_of(trials: pd.DataFrame) -> dict[str, pd.Series]:
     return dict(zip(PEAKS, values, strict=True))
 
 
+def _fell_before(trials: pd.DataFrame) -> pd.Series:
+    """Trials that had fallen when the push came: their peaks are those of lying there."""
+    return trials["time_to_fall_s"] <= 0
+
+
 def torso_or_head(trials: pd.DataFrame) -> pd.Series:
     """Trials in which torso or head touched the floor."""
     return (trials["peak_contact_force/torso"] > 0) | (trials["peak_contact_force/head"] > 0)
@@ -165,24 +172,24 @@ def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
         low, high = wilson(successes, count) if count else (None, None)
         out[name] = successes / count if count else None
         out[f"{name}_low"], out[f"{name}_high"] = low, high
-    for name, peaks in peaks_of(fallen).items():
-        known = peaks.dropna().tolist()  # of a fall before the push none is
+    for name, peaks in peaks_of(fallen[~_fell_before(fallen)]).items():
         out[name] = _mean(peaks)
-        low, high = bootstrap_interval(known) if known else (None, None)
+        low, high = bootstrap_interval(peaks.tolist()) if len(peaks) >= FEW else (None, None)
         out[f"{name}_low"], out[f"{name}_high"] = low, high
     return out
 
 
 def compare_falls(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Peaks of several policies over the pushes of the grid after which all of them fell.
+    """Peaks of several policies over the pushes of the grid after which, not before, all fell.
 
     Returns:
         One row per name: ``falls``, and of each of ``PEAKS`` its mean and the bootstrap 95 %
-        interval over those pushes of the first run's mean divided by it.
+        interval over those pushes of the first run's mean divided by it, if there are ten.
     """
     grid = next(iter(runs.values()))
-    grid_rows = (grid["impulse"] > 0) & ~grid["listed"]
-    fell = grid_rows & np.logical_and.reduce([~trials["recovered"] for trials in runs.values()])
+    fell = (grid["impulse"] > 0) & ~grid["listed"]
+    for trials in runs.values():
+        fell &= ~trials["recovered"] & ~_fell_before(trials)
     peaks = {name: peaks_of(trials[fell]) for name, trials in runs.items()}
     first, *_ = peaks.values()
     rows = []
@@ -190,7 +197,8 @@ def compare_falls(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         row: dict[str, Any] = {"run": name, "falls": int(fell.sum())}
         for key, values in own.items():
             row[key] = _mean(values)
-            low, high = ratio_interval(first[key], values) if len(values) else (None, None)
+            known = len(values) >= FEW and (values > 0).any()  # limp has no torque
+            low, high = ratio_interval(first[key], values) if known else (None, None)
             row |= {f"{key}_ratio_low": low, f"{key}_ratio_high": high}
         rows.append(row)
     return pd.DataFrame(rows)

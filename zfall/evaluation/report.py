@@ -127,9 +127,10 @@ def _battery(folder: Path) -> Section:
 
 def _comparison(folder: Path) -> Section:
     note = "Differences are to the first run, on the same trials; p is of McNemar's exact test."
-    table = _html(pd.read_csv(folder / "comparison.csv"))
+    paths = [folder / f"{name}.csv" for name in ("comparison", "falls", "outcomes")]
+    tables = [_html(pd.read_csv(path)) for path in paths if path.exists()]
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
-    return Section("Comparison", notes=[note], tables=[table], figures=figures)
+    return Section("Comparison", notes=[note], tables=tables, figures=figures)
 
 
 def _reproduction(folder: Path) -> Section:

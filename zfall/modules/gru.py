@@ -15,7 +15,8 @@ class StackedGRU(GRUModule):
     One step is TorchRL's, with ``torch.nn.GRU``. Over sequences ``(N, T, ...)``, in recurrent mode,
     TorchRL cuts and pads them where episodes begin, and autograd takes each of the many operations
     of each step by itself. Here a memory becomes 0 on the way where an episode begins, and each
-    layer has one backward pass (``_Layer``), which can be taken once, for finite values.
+    layer has one backward pass (``_Layer``): there is no second derivative, and no gradient to the
+    hidden state, which must be there.
 
     Keys: reads ``in_key`` ``(*B, size)``, the hidden state ``(*B, num_layers, size)``, of a
     sequence that at its first step, and ``is_init`` ``(*B, 1)``, where it is 0 instead; writes
@@ -46,7 +47,8 @@ class StackedGRU(GRUModule):
         rows = tensordict.select(*self.in_keys).reshape(-1, tensordict.shape[-1])
         value, memories, begins = (rows[key] for key in self.in_keys)
         goes_on = (~begins).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
-        memories = (memories[:, 0] * goes_on[0, :, None]).transpose(0, 1).contiguous()
+        memories = torch.where(begins[:, 0, :, None], 0.0, memories[:, 0])
+        memories = memories.transpose(0, 1).contiguous()
         layer, states = value.transpose(0, 1).contiguous(), []
         for memory, weights in zip(memories, self.gru.all_weights, strict=True):
             layer = _Layer.apply(layer, memory, goes_on, *weights)
