@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from recipes.one_line import check_keys, one_line_errors, start
+from recipes.one_line import check_keys, one_line_errors, remove_if_empty, start
 from recipes.results import write_comparison, write_envelope, write_results
 from recipes.tested import BASELINES, SCRIPTED, Tested, held, load_run, read_trials, write_trials
 from recipes.trial import show_trial
@@ -90,8 +90,7 @@ def main(cfg: DictConfig) -> None:
     for each in tested:
         if each.actor is not None and each.folder.parents[1] == Path(each.name):
             console.print(f"wrote {write_report(Path(each.name))}")
-    if not any(output.iterdir()):  # hydra makes it; the results lie in the run folder
-        output.rmdir()
+    remove_if_empty(output)  # the results lie in the run folder
 
 
 def in_world_of_policies(cfg: DictConfig, name: str, names: Sequence[str]) -> DictConfig:

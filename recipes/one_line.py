@@ -39,6 +39,12 @@ def shown_path(path: Path) -> str:
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
 
+def remove_if_empty(folder: Path) -> None:
+    """Removes what hydra made before it was known whether anything would be put into it."""
+    with suppress(OSError):  # it holds something
+        folder.rmdir()
+
+
 @contextmanager
 def one_line_errors() -> Iterator[None]:
     """Ends the program with exit code 1 and one line for errors that the user can repair.
@@ -50,8 +56,8 @@ def one_line_errors() -> Iterator[None]:
         yield
     except known as error:
         if HydraConfig.initialized():
-            with suppress(OSError, OmegaConfBaseException):
-                Path(HydraConfig.get().runtime.output_dir).rmdir()
+            with suppress(OmegaConfBaseException):  # it failed before it had a folder
+                remove_if_empty(Path(HydraConfig.get().runtime.output_dir))
         raise SystemExit(f"error: {in_one_line(error)}") from None
 
 

@@ -14,7 +14,7 @@ from rich.progress import track
 from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from recipes.one_line import check_keys, one_line_errors, shown_path, start
+from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shown_path, start
 from recipes.showcase import frame
 from recipes.tested import BASELINES, keep, load_run
 from zfall.envs.make import left_out
@@ -59,8 +59,7 @@ def main(cfg: DictConfig) -> None:
         except RuntimeError as error:
             console.print(f"no video: {error}")
     console.print(f"wrote {shown_path(folder)}/play.json", soft_wrap=True)
-    if not any(output.iterdir()):  # hydra makes it; the results lie in the run folder
-        output.rmdir()
+    remove_if_empty(output)  # the results lie in the run folder
 
 
 def walk(

@@ -183,9 +183,9 @@ def _percent(value: float | None, low: float | None, high: float | None) -> str:
 
 
 def _interval(value: float | None, low: float | None, high: float | None) -> str:
-    if value is None or low is None or high is None:
+    if value is None:
         return "-"
-    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
+    return f"{value:.3g}" if low is None or high is None else f"{value:.3g} [{low:.3g}, {high:.3g}]"
 
 
 def _figures(folder: Path, name: str, draw: Callable[[Path], None]) -> list[str]:

@@ -4,7 +4,7 @@ import csv
 import math
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.record import TensorboardLogger
 
 from recipes.learner import Learner
+from recipes.one_line import remove_if_empty
 from zfall import checkpoint
 
 VERSION = 2  # of what is needed to go on; raise it when that changes
@@ -24,8 +25,7 @@ def removed_if_unused(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # it holds something
-            folder.rmdir()
+        remove_if_empty(folder)
 
 
 def write_config(cfg: DictConfig, overrides: Sequence[str], folder: Path) -> None:

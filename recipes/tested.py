@@ -135,8 +135,10 @@ def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
 
 
 def scripted(env_cfg: DictConfig, run: str) -> DictConfig:
-    """The env's config for a baseline that kneels: ``scripted_kneel`` goes from the stand to the
-    pose ``kneel`` whatever the fall, ``scripted_catch`` through what ``recipes.catches`` found.
+    """The env's config for a baseline that kneels by itself.
+
+    ``scripted_kneel`` goes from the stand to the pose ``kneel``, whatever the fall;
+    ``scripted_catch`` through the movements that ``recipes.catches`` found.
 
     Raises:
         ValueError: if the env has no modes.

@@ -44,10 +44,9 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors(), removed_if_unused(folder):
         check_keys(cfg, KEYS)
-        if not (isinstance(cfg.total_frames, (int, float)) and cfg.total_frames > 0) or (
-            math.isinf(cfg.total_frames)
-        ):
-            raise ValueError(f"total_frames must be a positive number, got {cfg.total_frames}.")
+        frames = cfg.total_frames
+        if not (isinstance(frames, (int, float)) and 0 < frames < math.inf):
+            raise ValueError(f"total_frames must be a positive number, got {frames}.")
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
         check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
         state = None

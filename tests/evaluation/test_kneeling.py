@@ -6,6 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from recipes.results import kneel_table
 from tests.evaluation.test_metrics import record
 from zfall.evaluation.kneeling import Kneeling, compare_falls, summarize_kneel
 
@@ -178,6 +179,8 @@ def test_summary_by_hand():
     assert entry["peak_base_acceleration"] == 50.0
     assert entry["peak_base_acceleration_low"] is None  # of four there is no interval
     assert summary["listed"]["(20, 0)"]["peak_joint_torque"] == 99.0
+    shown = kneel_table(summary).set_index("push")["peak_base_acceleration"]
+    assert shown[["I 1", "force [N] (20, 0)"]].tolist() == ["50", "999"]
     many = pd.concat([trials] * 5, ignore_index=True)
     entry = summarize_kneel(many)["by_impulse"]["1"]  # 20 falls, deviation of their mean 5
     assert entry["peak_base_acceleration"] == 50.0

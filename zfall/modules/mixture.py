@@ -54,7 +54,7 @@ class MixtureOfGaussians(Distribution):
         # The components' axis goes in front of those that value has in front of the batch's.
         extra = value.dim() - self._loc.dim() + 1
         loc, scale, factor = (
-            _make_room(x, extra) if extra else x for x in (self._loc, self._scale, self._log_factor)
+            _make_room(x, extra) for x in (self._loc, self._scale, self._log_factor)
         )
         return (value - loc) / scale, factor
 
