@@ -1,5 +1,7 @@
 """The base env: specs, units, clocks, resets and faults."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -24,6 +26,22 @@ def stand(env: HumanoidEnv, seconds: float) -> TensorDict:
 
 def test_specs_hold(make_base):
     check_env_specs(make_base())
+
+
+def test_joints_may_come_in_another_order_than_the_actuators(make_base):
+    turn = [*range(3, 20), 0, 1, 2]  # not its own inverse
+    other = replace(ZEROTH01, joints=tuple(ZEROTH01.joints[i] for i in turn))
+    torch.manual_seed(0)
+    target = torch.tensor(ZEROTH01.stand_position) + 0.2 * torch.randn(2, 20)
+    states = []
+    for robot, targets in ((ZEROTH01, target), (other, target[:, turn])):
+        env = make_base(num_envs=2, robot=robot)
+        td = env.reset()
+        td["target"] = targets
+        states.append(env._step(td))
+    assert states[0]["joint_velocity"].abs().max() > 0.5
+    for key in ("joint_position", "joint_velocity", "joint_torque"):
+        assert_close(states[1][key], states[0][key][:, turn], rtol=0, atol=0)
 
 
 def test_standing_still_has_the_forces_and_momenta_of_rest(make_base):

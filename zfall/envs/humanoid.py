@@ -158,10 +158,9 @@ class HumanoidEnv(EnvBase):
             self.mass,
             control_dt,
         )
-        # Joints in the order of the model's actuators.
-        self._to_actuators = torch.tensor(
-            [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
-        )
+        # Joints in the order of the model's actuators, if that is another one.
+        order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
+        self._to_actuators = slice(None) if order == sorted(order) else torch.tensor(order)
         self._wrench = torch.zeros(num_envs, substeps, self.num_bodies, 6)
         places = (0, 0)  # where the ball's state begins in positions and velocities
         if ball:
@@ -230,7 +229,7 @@ class HumanoidEnv(EnvBase):
             control = tensordict["target"][:, None].expand(-1, self.substeps, -1)
         wrench = tensordict.get(("push", "wrench"), None)
         self._disturb(tensordict)
-        sensors = self.simulation.step(control.index_select(-1, self._to_actuators), wrench)
+        sensors = self.simulation.step(control[..., self._to_actuators], wrench)
         observed = self._observe(sensors)
         diverged = self.simulation.diverged
         if diverged.any():  # such a world ends here, in a state the learner can read

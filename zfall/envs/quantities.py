@@ -160,8 +160,8 @@ class Quantities:
 
     def _region_force(self, forces: Tensor) -> Tensor:
         """Norm of the force on each region in each physics step ``(K, S, R)`` [N]."""
-        x, y, z = (forces @ self._region).chunk(3, -1)
-        return (x.square() + y.square() + z.square()).sqrt()
+        x, y, z = (forces @ self._region).square_().chunk(3, -1)
+        return (x + y).add_(z).sqrt_()
 
 
 def _span(columns: Tensor) -> slice | Tensor:
