@@ -134,11 +134,10 @@ class CAPSLoss(LossModule):
                 mu = self._act(batch.select(*self.actor_network.in_keys))
         follows = ~batch["is_init"][:, 1:, 0]
         change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
-        steps = batch.reshape(-1)
-        near = steps.copy().set("observation", self._neighbour(steps))
-        pair = torch.stack([steps, near]).select(*self.actor_network.in_keys)
+        here = batch.select(*self.actor_network.in_keys).reshape(-1)
+        near = here.copy().set("observation", self._neighbour(batch).flatten(0, 1))
         with set_recurrent_mode(False):
-            mu = self._act(pair.reshape(-1)).unflatten(0, (2, -1))
+            mu = self._act(torch.cat([here, near])).chunk(2)
         spatial = self.spatial_norm(mu[0] - mu[1]).mean()
         return change.sum() / follows.sum().clamp_min(1), spatial
 
