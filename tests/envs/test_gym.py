@@ -1,5 +1,6 @@
 """The gymnasium face: its contract, seeds, and what ends an episode."""
 
+import re
 import subprocess
 import sys
 
@@ -9,6 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from torch import tensor
+
+from zfall.envs.gym import TaskEnv
 
 ID = "zfall/PushRecovery-v0"
 SHORT = ["env.transforms.limit.seconds=0.2"]  # 5 control steps
@@ -167,6 +170,22 @@ def test_options_and_lists_of_seeds_are_refused():
     env = gymnasium.make_vec(ID, num_envs=2)
     with pytest.raises(ValueError, match=r"seed must be one number for all worlds, got \[1, 2\]"):
         env.reset(seed=[1, 2])
+
+
+def test_actions_of_another_shape_or_not_finite_are_refused():
+    one, many = gymnasium.make(ID).unwrapped, gymnasium.make_vec(ID, num_envs=3)
+    one.reset(seed=0)
+    many.reset(seed=0)
+    for env, shape, wrong in ((one, (20,), (1,)), (many, (3, 20), (3, 1)), (many, (3, 20), (20,))):
+        with pytest.raises(ValueError, match=re.escape(f"shape {shape}, got {wrong}")):
+            env.step(np.ones(wrong, dtype=np.float32))
+    broken = np.zeros((3, 20), dtype=np.float32)
+    broken[1, 4] = np.nan
+    with pytest.raises(ValueError, match="action must be finite, got nan"):
+        many.step(broken)
+    assert np.isfinite(many.step(np.zeros((3, 20), dtype=np.float32))[1]).all()
+    with pytest.raises(ValueError, match="render_mode must be rgb_array or None, got 'human'"):
+        TaskEnv(render_mode="human")
 
 
 def test_picture_shows_the_robot():

@@ -1,5 +1,6 @@
 """The base env: specs, units, clocks, resets and faults."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -245,6 +246,9 @@ def test_saved_env_goes_on_bit_for_bit(make_base):
     ({"control_dt": 0.03}, "control_dt must be a multiple of physics_dt, got control_dt 0.03"),
     ({"control_dt": 0.001}, "control_dt must be a multiple of physics_dt"),
     ({"physics_dt": 0.0}, "physics_dt must be positive"),
+    ({"control_dt": math.nan}, "control_dt must be positive and finite, got nan"),
+    ({"control_dt": math.inf}, "control_dt must be positive and finite, got inf"),
+    ({"threads": 0}, "threads must be at least 1, or null for all cores, got 0"),
 ])  # fmt: skip
 def test_bad_numbers_are_refused_with_rule_and_value(values, message):
     with pytest.raises(ValueError, match=message):

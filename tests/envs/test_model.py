@@ -116,12 +116,26 @@ def test_a_push_point_at_a_site_lies_where_the_site_lies():
 
 @pytest.mark.parametrize(("point", "message"), [
     (PushPoint(site="tail"), "push_points.x: site must be one of .*left_sole.*got 'tail'"),
+    (PushPoint(site="left_sole", offset=(0, 0, 0.1)), "push_points.x: offset must go with a body"),
     (PushPoint(), "push_points.x: give just one of body and site"),
     (PushPoint(body="Top_Brace", site="imu"), "give just one of body and site"),
 ])  # fmt: skip
 def test_push_points_that_are_nowhere_are_refused(point, message):
     with pytest.raises(ValueError, match=message):
         compile_model(ZEROTH01, physics_dt=0.004, push_points={"x": point})
+
+
+def test_a_push_point_cannot_take_the_name_of_a_link():
+    with pytest.raises(
+        ValueError, match=r"push_points.Top_Brace: must not have the name of a link"
+    ):
+        compile_model(ZEROTH01, physics_dt=0.004, push_points={"Top_Brace": PushPoint(site="imu")})
+
+
+def test_an_actuator_that_the_robot_does_not_name_is_refused(tmp_path):
+    more = '<actuator><motor name="tail" joint="left_hip_yaw"/></actuator></mujoco>'
+    with pytest.raises(ValueError, match="each of robot.joints alone, also has tail"):
+        compile_model(edited(tmp_path, "</mujoco>", more), physics_dt=0.004)
 
 
 def test_identity_follows_the_physics_and_not_the_comments(tmp_path):

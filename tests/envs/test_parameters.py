@@ -214,3 +214,11 @@ def test_unknown_parameters_and_wrong_shapes_are_refused(make_base):
         base.set_physics_params(values(base, mass=torch.ones(2, 1)))
     with pytest.raises(ValueError, match=r"slope must have the shape \(2, 2\), got \(2, 1\)"):
         base.set_physics_params(values(base, slope=torch.ones(2, 1)))
+    with pytest.raises(ValueError, match=r"slope must be .*within \[-0.785, 0.785\], got 2"):
+        base.set_physics_params(values(base, slope=torch.full((2, 2), 2.0)))
+    broken = torch.tensor([[1.0], [torch.nan]])
+    with pytest.raises(ValueError, match=r"foot_friction must be finite .*got nan"):
+        base.set_physics_params(values(base, foot_friction=broken))
+    with pytest.raises(ValueError, match="mask must be of 2 worlds, got 1"):
+        base.set_physics_params(values(base, foot_friction=torch.ones(2, 1)), torch.ones(1) > 0)
+    assert torch.equal(base.parameters.values["foot_friction"], torch.ones(2, 1))

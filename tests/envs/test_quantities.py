@@ -56,3 +56,15 @@ def test_force_on_a_foot_is_the_reaction_of_the_last_step(read):
     _, td = read({9: {"feet_contact/right": contact}, 3: {"feet_contact/left": contact}})
     assert_close(td["feet_force"], torch.tensor([[0.0, 0, 0], [0, 0, 16.0]]))
     assert td["feet_contact"].tolist() == [False, True]
+
+
+def test_a_foot_that_touches_without_force_has_no_center_of_pressure(read):
+    """The center that MuJoCo weighs by force is the world's origin then, here 2.2 m away."""
+    sole = {"feet_position/left": [2.0, 1.0, 0.0], "feet_orientation/left": [1.0, 0, 0, 0]}
+    grazing = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    _, td = read({9: sole | {"feet_contact/left": grazing}})
+    assert td["feet_contact"].tolist() == [True, False]
+    assert_close(td["feet_cop"], torch.zeros(2, 2))
+    pressed = [1.0, 0.0, 0.0, -16.0, 2.01, 0.98, 0.0]
+    _, td = read({9: sole | {"feet_contact/left": pressed}})
+    assert_close(td["feet_cop"], torch.tensor([[0.01, -0.02], [0.0, 0.0]]), atol=1e-6, rtol=0)

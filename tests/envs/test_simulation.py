@@ -110,3 +110,15 @@ def test_worlds_that_do_not_step_stay_and_change_no_other(model):
     part.step_only(None)
     part.step(control)
     assert not torch.equal(part.qpos[1], before[1])
+
+
+def test_worlds_that_do_not_step_keep_a_state_that_was_loaded(model):
+    moved, control = make(model, 3)
+    for _ in range(5):
+        moved.step(control)
+    other, _ = make(model, 3)
+    other.load_state_dict(moved.state_dict())
+    other.step_only(torch.tensor([True, False, False]))
+    other.step(control)
+    assert torch.equal(other.qpos[1:], moved.qpos[1:])
+    assert not torch.equal(other.qpos[0], moved.qpos[0])

@@ -11,7 +11,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import torch
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         self.observation_space, self.action_space = _spaces(self.torchrl_env, action_limit)
         fps = round(1 / self.torchrl_env.base_env.control_dt)
         self.metadata = type(self).metadata | {"render_fps": fps}
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode must be rgb_array or None, got {render_mode!r}.")
         self.render_mode = render_mode
         self._renderer: mujoco.Renderer | None = None
         self._seeded, self._fresh = False, _buffers(self.torchrl_env)
@@ -79,7 +81,7 @@ class TaskEnv(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, Info]:
         """Takes one control step."""
-        self._td["action"] = _tensor(action)[None]
+        self._td["action"] = _tensor(action, self.action_space)[None]
         data = self.torchrl_env.step(self._td)
         self._td, after = step_mdp(data), data["next"]
         info = {
@@ -155,7 +157,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Takes one control step in every world."""
-        self._td["action"] = _tensor(actions)
+        self._td["action"] = _tensor(actions, self.action_space)
         data, self._td = self.torchrl_env.step_and_maybe_reset(self._td)
         after = data["next"]
         terminated, truncated = (_array(after[key][:, 0]) for key in ("terminated", "truncated"))
@@ -192,8 +194,13 @@ def _refuse(options: dict[str, Any] | None) -> None:
         raise ValueError(f"options must be empty, there are none here; got {', '.join(options)}.")
 
 
-def _tensor(action: Array) -> torch.Tensor:
-    return torch.from_numpy(np.array(action, dtype=np.float32))
+def _tensor(action: Array, space: Space[Array]) -> torch.Tensor:
+    values = np.array(action, dtype=np.float32)
+    if values.shape != space.shape:
+        raise ValueError(f"action must have the shape {space.shape}, got {values.shape}.")
+    if not np.isfinite(values).all():
+        raise ValueError(f"action must be finite, got {values[~np.isfinite(values)][0]}.")
+    return torch.from_numpy(values)
 
 
 def _array(value: torch.Tensor) -> Array:

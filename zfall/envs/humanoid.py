@@ -1,5 +1,6 @@
 """The base env: named physical quantities out, servo targets and forces in."""
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -71,7 +72,7 @@ class HumanoidEnv(EnvBase):
     feet_orientation         2 x 4     (w, x, y, z), sole to world
     feet_velocity            2 x 3     of the center of the sole [m/s; world]
     feet_force               2 x 3     of the floor on the foot, last physics step [N; world]
-    feet_cop                 2 x 2     center of pressure [m; sole], 0 without contact
+    feet_cop                 2 x 2     center of pressure [m; sole], 0 without force
     feet_corner_force        2 x 4     vertical, last physics step [N]
     feet_contact             2         bool, at the last physics step
     contact_force_peak       R         norm of the floor's force on each of ``regions``,
@@ -85,7 +86,8 @@ class HumanoidEnv(EnvBase):
     ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
     its TensorDict say, NAME being one of ``START_KEYS``. Without ``("start", "base_position")``,
     or where it is not a number, the lowest corner of the soles is put on the floor, or
-    ``("start", "clearance")`` ``(N, 1)`` [m] above it.
+    ``("start", "clearance")`` ``(N, 1)`` [m] above it. A task's env, as ``make_env`` builds it,
+    is started by its transforms, ``ScriptedStart`` for instance: TorchRL hands it nothing else.
 
     After ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
 
@@ -120,8 +122,9 @@ class HumanoidEnv(EnvBase):
     ):
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}.")
-        if not physics_dt > 0:
-            raise ValueError(f"physics_dt must be positive, got {physics_dt}.")
+        for name, value in (("physics_dt", physics_dt), ("control_dt", control_dt)):
+            if not 0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {value}.")
         substeps = round(control_dt / physics_dt)
         if substeps < 1 or abs(substeps * physics_dt - control_dt) > 1e-9:
             raise ValueError(
@@ -342,9 +345,12 @@ class HumanoidEnv(EnvBase):
             mask: worlds whose parameters change ``(N,)`` bool; all if ``None``.
 
         Raises:
-            ValueError: on a key that ``physics_param_spec`` does not have, or another shape.
+            ValueError: on a key that ``physics_param_spec`` does not have, another shape, a value
+                out of its range, or a mask of another length.
         """
         rows = torch.ones(self.num_envs, dtype=torch.bool) if mask is None else mask.reshape(-1)
+        if len(rows) != self.num_envs:
+            raise ValueError(f"mask must be of {self.num_envs} worlds, got {len(rows)}.")
         fields = self.parameters.update(dict(tensordict.items()), rows)
         self.simulation.set_fields(rows, fields)
 

@@ -58,6 +58,8 @@ def compile_model(
     _check(spec, robot)
     plain = spec.compile()
     for name, point in {**robot.push_points, **(push_points or {})}.items():
+        if spec.body(name) is not None:
+            raise ValueError(f"push_points.{name}: must not have the name of a link.")
         link, place = _place_of(spec, plain, name, point)
         body = link.add_body(name=_POINT + name, pos=place)
         # Forces act at the inertial frame: MuJoCo would put that of a body without mass elsewhere.
@@ -122,6 +124,8 @@ def _place_of(
     if (point.body is None) == (point.site is None):
         raise ValueError(f"push_points.{name}: give just one of body and site.")
     if point.site is not None:
+        if any(point.offset or ()):
+            raise ValueError(f"push_points.{name}: offset must go with a body, not with a site.")
         site = spec.site(point.site)
         if site is None:
             there = ", ".join(site.name for site in spec.sites if site.name)
@@ -174,6 +178,12 @@ def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
                 f"{robot.mjcf} must have the joints and actuators of robot.joints, "
                 f"lacks the {kind} {', '.join(missing)}."
             )
+    more = sorted({x.name for x in spec.actuators} - set(robot.joints))
+    if more:
+        raise ValueError(
+            f"{robot.mjcf} must have an actuator for each of robot.joints alone, also has "
+            f"{', '.join(more)}."
+        )
     if spec.key("stand") is None:
         raise ValueError(f"{robot.mjcf} must have a keyframe named 'stand'.")
 

@@ -1,5 +1,6 @@
 """Physical parameters that every world may have of its own."""
 
+import math
 from collections.abc import Mapping
 
 import mujoco
@@ -10,6 +11,20 @@ from torchrl.data import Composite, Unbounded
 
 from zfall.envs.model import push_point_bodies
 from zfall.envs.robots import GRAVITY, Robot
+
+# What the physics can bear; parameters that are not named here may be any number.
+RANGES = {
+    "link_mass": (0.01, math.inf),
+    "slope": (-math.pi / 4, math.pi / 4),
+}  # gravity still pulls
+RANGES |= dict.fromkeys(
+    (
+        *("payload", "floor_friction", "foot_friction", "joint_friction_loss", "joint_damping"),
+        *("joint_armature", "servo_stiffness", "servo_torque_limit", "battery_voltage"),
+    ),
+    (0.0, math.inf),
+)
+ANY_NUMBER = (-math.inf, math.inf)
 
 
 class PhysicsParameters:
@@ -83,7 +98,7 @@ class PhysicsParameters:
             rows: which worlds take them ``(N,)`` bool.
 
         Raises:
-            ValueError: on an unknown name or a wrong shape.
+            ValueError: on an unknown name, a wrong shape, or a value out of ``RANGES``.
         """
         index, changed = rows.nonzero()[:, 0], set()
         for name, value in values.items():
@@ -97,6 +112,13 @@ class PhysicsParameters:
                     f"got {tuple(value.shape)}."
                 )
             new = value.index_select(0, index).float()
+            low, high = RANGES.get(name, ANY_NUMBER)
+            sound = (new >= low) & (new <= high) & new.isfinite()
+            if not sound.all():
+                raise ValueError(
+                    f"{name} must be finite and within [{low:.3g}, {high:.3g}], "
+                    f"got {new[~sound][0].item():.3g}."
+                )
             if not torch.equal(new, self.values[name].index_select(0, index)):
                 changed.add(name)  # a new tensor: others may hold the old one
                 self.values[name] = self.values[name].index_copy(0, index, new)

@@ -121,7 +121,9 @@ class Quantities:
         center = rotate_inverse(out["feet_orientation"], from_center)[..., :2]
         out["feet_contact"] = touching
         out["feet_force"] = -contact[..., 1:4]
-        out["feet_cop"] = torch.where(touching[..., None], center, 0.0)
+        # A sole can touch without a force, and then has no center: MuJoCo gives the world's origin.
+        pressed = touching & (contact[..., 1:4] != 0.0).any(-1)
+        out["feet_cop"] = torch.where(pressed[..., None], center, 0.0)
         out["feet_corner_force"] = -last.index_select(1, self._corners).unflatten(
             -1, (self._num_feet, -1)
         )

@@ -64,6 +64,8 @@ class Simulation:
     ):
         # Without this MuJoCo would put a diverged world back to its initial state and go on.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, or null for all cores, got {threads}.")
         self.model, self.substeps = model, substeps
         self._models = [model] * num_worlds  # one object for all until set_fields
         self.threads = threads or len(os.sched_getaffinity(0))
@@ -126,9 +128,11 @@ class Simulation:
         end = self._states[:, -1]
         passed = end[:, 0] - self._state[:, 0]  # a world that MuJoCo gave up on lags behind
         self._late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
-        if self._stepped is not None:
+        if self._stepped is None:
+            self._state.copy_(end)
+        else:
             self._late &= torch.zeros_like(self._late).index_fill(0, self._stepped, True)
-        self._state.copy_(end)
+            self._state[self._stepped] = end[self._stepped]
         return self._sensors
 
     @property

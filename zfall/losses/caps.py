@@ -137,8 +137,8 @@ class CAPSLoss(LossModule):
         here = batch.select(*self.actor_network.in_keys).reshape(-1)
         near = here.copy().set("observation", self._neighbour(batch).flatten(0, 1))
         with set_recurrent_mode(False):
-            mu = self._act(torch.cat([here, near])).chunk(2)
-        spatial = self.spatial_norm(mu[0] - mu[1]).mean()
+            mu_here, mu_near = self._act(torch.cat([here, near])).chunk(2)
+        spatial = self.spatial_norm(mu_here - mu_near).mean()
         return change.sum() / follows.sum().clamp_min(1), spatial
 
     def _known(self, batch: TensorDictBase) -> Tensor | None:

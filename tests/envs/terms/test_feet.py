@@ -39,10 +39,10 @@ def test_load_is_1_on_half_the_weight_and_epsilon_a_cutoff_away():
     assert_close(value[:, 0], torch.tensor([1.0, 0.01, 0.505]), atol=1e-4, rtol=0)
 
 
-def test_pressure_counts_feet_on_the_floor_alone():
+def test_pressure_counts_feet_that_carry_something_alone():
     cop = torch.zeros(3, 2, 2)
     cop[0, 0] = torch.tensor([0.03, 0.04])  # 0.05 m off
-    td = TensorDict({"feet_cop": cop, "feet_contact": CONTACT}, batch_size=[3])
+    td = TensorDict({"feet_cop": cop, "feet_force": 20.0 * CONTACT[..., None].expand(3, 2, 3)}, [3])
     value = centered_pressure(NONE, td, cutoff=0.05, epsilon=0.1)
     assert_close(value[:, 0], torch.tensor([0.55, 0.5, 0.0]))
 
@@ -82,7 +82,6 @@ def test_weight_of_each_foot_is_twice_that_of_their_mean():
         {
             "feet_force": torch.tensor([[[0.0, 0, 20.0], [0, 0, 5.0]]]),
             "feet_cop": torch.tensor([[[0.01, 0.0], [0.0, 0.03]]]),
-            "feet_contact": torch.tensor([[True, True]]),
             "feet_orientation": torch.tensor([[[0.995, 0.0999, 0.0, 0.0], [1.0, 0, 0, 0]]]),
         },
         batch_size=[1],

@@ -1,5 +1,7 @@
 """Draws of physical parameters, and sensors mounted askew."""
 
+import math
+
 import pytest
 import torch
 from scipy.stats import kstest, loguniform, norm, uniform
@@ -115,8 +117,28 @@ def test_misalignment_turns_all_that_the_imu_measures_by_one_small_rotation(make
     ({"link_mass": {"uniform": [2, 1]}}, r"params.link_mass.uniform must be \[low, high\], got \[2, 1\]"),
     ({"link_mass": {"log_uniform": [0, 1]}}, "log_uniform must be of positive values"),
     ({"link_mass": {"normal": [1, -1]}}, "deviation >= 0"),
+    ({"link_mass": {"normal": [1, 0.2], "clip": [1.7, 0.3]}}, r"link_mass.clip must be \[low, high\]"),
+    ({"link_mass": {"normal": [1, 0.2], "clip": 0.5}}, "link_mass.clip must be two finite numbers, got 0.5"),
+    ({"link_mass": {"normal": [1, math.nan]}}, "link_mass.normal must be two finite numbers"),
+    ({"link_mass": {"uniform": [-1.0, -0.5]}}, r"link_mass.uniform must be within \[0.01, inf\]"),
+    ({"foot_friction": {"uniform": [-1.0, 0.5]}}, r"foot_friction.uniform must be within \[0, inf\]"),
+    ({"foot_friction": {"normal": [1, 1], "clip": [-1, 2]}}, r"foot_friction.clip must be within \[0, inf\]"),
+    ({"foot_friction": {"uniform": ["a", "b"]}}, "foot_friction.uniform must be two finite numbers"),
+    ({"foot_friction": {"uniform": [0.5]}}, r"foot_friction.uniform must be two finite numbers, got \[0.5\]"),
+    ({"slope": {"uniform": [0, 2]}}, r"slope.uniform must be within \[-0.785, 0.785\]"),
     ({"link_mass": {"gamma": [1, 1]}}, "must hold just one of uniform, log_uniform, normal.*got gamma"),
 ])  # fmt: skip
 def test_bad_values_are_refused(make_base, params, message):
     with pytest.raises(ValueError, match=message):
         DomainRandomization(make_base(), params=params)
+
+
+def test_a_normal_distribution_is_cut_where_the_physics_ends(make_base):
+    env = make_base(num_envs=64)
+    wide = DomainRandomization(env, params={"foot_friction": {"normal": [0.5, 1.0]}})
+    wide._reset_env_preprocess(None)
+    friction = env.parameters.values["foot_friction"]
+    # P(N(0.5, 1) < 0) = 0.31: of 64 some 20; the others are as they were drawn.
+    assert 8 < (friction == 0).sum() < 34
+    assert friction.min() == 0
+    assert friction.max() > 1.5

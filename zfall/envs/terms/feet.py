@@ -51,14 +51,14 @@ def centered_pressure(
 ) -> Tensor:
     """High where each foot is pressed on at its center: mean over feet of ``rbf(cop, 0)``.
 
-    A foot in the air counts 0. With ``per_foot`` the sum over feet. Reads ``feet_cop``
-    ``(*B, 2, 2)`` [m; sole] and ``feet_contact``; ``cutoff`` [m]. Returns ``(*B, 1)`` in [0, 1],
-    or in [0, 2].
+    A foot that carries nothing counts 0. With ``per_foot`` the sum over feet. Reads ``feet_cop``
+    ``(*B, 2, 2)`` [m; sole] and ``feet_force`` ``(*B, 2, 3)`` [N]; ``cutoff`` [m]. Returns
+    ``(*B, 1)`` in [0, 1], or in [0, 2].
 
     Source: Ferigo et al., RA-L 2021, table II (feet CoPs).
     """
     value = rbf(next_td["feet_cop"], 0.0, cutoff=cutoff, epsilon=epsilon)
-    value = torch.where(next_td["feet_contact"].unsqueeze(-1), value, 0.0)
+    value = torch.where((next_td["feet_force"] != 0.0).any(-1, keepdim=True), value, 0.0)
     return value.sum(-2) if per_foot else value.mean(-2)
 
 

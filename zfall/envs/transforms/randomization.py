@@ -10,8 +10,9 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.parameters import ANY_NUMBER, RANGES
 from zfall.envs.rotations import rotate
-from zfall.envs.transforms.values import reset_rows
+from zfall.envs.transforms.values import reset_rows, two_numbers
 
 _KINDS = ("uniform", "log_uniform", "normal")
 
@@ -27,12 +28,14 @@ class DomainRandomization(Transform):
         params: by name, what to draw from: ``{uniform: [low, high]}``, ``{log_uniform: [low,
             high]}`` or ``{normal: [mean, standard deviation]}``, each entry of the parameter on
             its own; with ``shared: true`` one draw for all entries, and with ``clip: [low, high]``
-            cut to bounds.
+            cut to bounds. What a normal distribution draws beyond ``RANGES`` of
+            ``zfall.envs.parameters`` is cut to them.
         interval: time after which the parameters are drawn again within an episode [s]; ``null``
             keeps them for the whole episode.
 
     Raises:
-        ValueError: on a parameter that does not exist, or a distribution that is none.
+        ValueError: on a parameter that does not exist, a distribution that is none, or one that
+            reaches beyond ``RANGES``.
     """
 
     clock: Tensor
@@ -49,7 +52,7 @@ class DomainRandomization(Transform):
         for name, distribution in params.items():
             if name not in self.spec.keys():
                 raise ValueError(f"params must be of {', '.join(self.spec.keys())}, got {name!r}.")
-            _check(f"params.{name}", distribution)
+            _check(f"params.{name}", distribution, RANGES.get(name, ANY_NUMBER))
         if interval is not None and interval < env.control_dt:
             raise ValueError(
                 f"interval must be at least control_dt ({env.control_dt}), got {interval}."
@@ -88,7 +91,7 @@ class DomainRandomization(Transform):
 
     def _draw(self, rows: Tensor) -> None:
         drawn = {
-            name: draw(distribution, self.spec[name].shape, self.rng)
+            name: draw(distribution, self.spec[name].shape, self.rng, RANGES.get(name, ANY_NUMBER))
             for name, distribution in self.params.items()
         }
         self._set(TensorDict(drawn, batch_size=[self.num_envs]), rows)
@@ -100,14 +103,23 @@ class DomainRandomization(Transform):
         return observation_spec
 
 
-def draw(distribution: Mapping[str, Any], shape: torch.Size, rng: torch.Generator) -> Tensor:
-    """Values ``(N, size)`` from a distribution as in ``DomainRandomization``."""
+def draw(
+    distribution: Mapping[str, Any],
+    shape: torch.Size,
+    rng: torch.Generator,
+    bounds: tuple[float, float] = ANY_NUMBER,
+) -> Tensor:
+    """Values ``(N, size)`` from a distribution as in ``DomainRandomization``.
+
+    Those of a normal one are cut to ``bounds``.
+    """
     (kind,) = (kind for kind in _KINDS if kind in distribution)
     width = 1 if distribution.get("shared", False) else shape[1]
     # Bounds may be one pair for all worlds or, from a curriculum, a pair for each (2, N).
     first, second = (torch.as_tensor(x).reshape(-1, 1) for x in distribution[kind])
     if kind == "normal":
         values = first + second * torch.randn(shape[0], width, generator=rng)
+        values = values.clamp(*bounds)
     else:
         u = torch.rand(shape[0], width, generator=rng)
         if kind == "uniform":
@@ -121,8 +133,8 @@ def draw(distribution: Mapping[str, Any], shape: torch.Size, rng: torch.Generato
     return values.float().expand(shape)
 
 
-def _check(name: str, distribution: Mapping[str, Any]) -> None:
-    """Raises ``ValueError`` unless the distribution is one."""
+def _check(name: str, distribution: Mapping[str, Any], bounds: tuple[float, float]) -> None:
+    """Raises ``ValueError`` unless the distribution is one, of values within ``bounds``."""
     kinds = [kind for kind in _KINDS if kind in distribution]
     unknown = sorted(set(distribution) - {*_KINDS, "shared", "clip"})
     if len(kinds) != 1 or unknown:
@@ -130,13 +142,23 @@ def _check(name: str, distribution: Mapping[str, Any]) -> None:
             f"{name} must hold just one of {', '.join(_KINDS)}, and may hold shared and clip; "
             f"got {', '.join(distribution) or 'nothing'}."
         )
-    first, second = distribution[kinds[0]]
-    if kinds[0] == "normal" and second < 0:
+    (kind,) = kinds
+    first, second = two_numbers(f"{name}.{kind}", distribution[kind])
+    if kind == "normal" and second < 0:
         raise ValueError(f"{name}.normal must be [mean, deviation >= 0], got {[first, second]}.")
-    if kinds[0] != "normal" and not first <= second:
-        raise ValueError(f"{name}.{kinds[0]} must be [low, high], got {[first, second]}.")
-    if kinds[0] == "log_uniform" and not first > 0:
+    if kind == "log_uniform" and not first > 0:
         raise ValueError(f"{name}.log_uniform must be of positive values, got {[first, second]}.")
+    ranges = {} if kind == "normal" else {kind: (first, second)}
+    if distribution.get("clip") is not None:
+        ranges["clip"] = two_numbers(f"{name}.clip", distribution["clip"])
+    for key, (low, high) in ranges.items():
+        if not low <= high:
+            raise ValueError(f"{name}.{key} must be [low, high], got {[low, high]}.")
+        if not bounds[0] <= low <= high <= bounds[1]:
+            raise ValueError(
+                f"{name}.{key} must be within [{bounds[0]:.3g}, {bounds[1]:.3g}], "
+                f"got {[low, high]}."
+            )
 
 
 class JointZeroOffset(Transform):

@@ -12,7 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import START_KEYS, STATE_KEYS, HumanoidEnv
 from zfall.envs.motions import load_motions
 from zfall.envs.rotations import rotate, turned
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import per_world, two_numbers
 
 
 class NoisyStart(Transform):
@@ -45,9 +45,9 @@ class NoisyStart(Transform):
         for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
             if std < 0:
                 raise ValueError(f"{name} must not be negative, got {std}.")
-        if clearance is not None and not clearance[0] <= clearance[1]:
-            raise ValueError(f"clearance must be [smallest, largest], got {list(clearance)}.")
-        self.clearance = None if clearance is None else list(clearance)
+        self.clearance = None if clearance is None else list(two_numbers("clearance", clearance))
+        if self.clearance is not None and not self.clearance[0] <= self.clearance[1]:
+            raise ValueError(f"clearance must be [smallest, largest], got {list(self.clearance)}.")
         self.joint_position, self.joint_velocity = joint_position, joint_velocity
         self.rng, self.stand, self.range = env.rng, env.stand_position, env.joint_range
         self.num_envs = env.num_envs

@@ -1,5 +1,10 @@
 """What of a transform differs from world to world: its numbers, and when an episode begins."""
 
+import math
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any
+
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms.utils import _get_reset
@@ -25,3 +30,11 @@ def check_not_negative(name: str, values: dict[str, float]) -> None:
     for key, value in values.items():
         if not value >= 0:
             raise ValueError(f"{name}.{key} must not be negative, got {value}.")
+
+
+def two_numbers(name: str, value: Any) -> tuple[float, float]:
+    """The two numbers that ``value`` holds; raises ``ValueError`` on anything else."""
+    numbers = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
+    if len(numbers) != 2 or not all(isinstance(x, Real) and math.isfinite(x) for x in numbers):
+        raise ValueError(f"{name} must be two finite numbers, got {value}.")
+    return numbers[0], numbers[1]
