@@ -199,12 +199,16 @@ def servo_time_constant(model: mujoco.MjModel, robot: Robot) -> Tensor:
     return torch.tensor([float((j.damping[0] - a.biasprm[2]) / -a.biasprm[1]) for j, a in joints])
 
 
-FIELDS = (  # what makes a robot move as it does
+FIELDS = (  # what makes a robot move and sense as it does
     *("body_mass", "body_inertia", "body_pos", "body_quat", "body_ipos", "body_iquat"),
-    *("jnt_axis", "jnt_range", "dof_damping", "dof_armature", "dof_frictionloss"),
-    *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_trnid"),
-    *("geom_type", "geom_size", "geom_pos", "geom_friction", "geom_priority"),
+    *("body_parentid", "jnt_type", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness"),
+    *("dof_damping", "dof_armature", "dof_frictionloss", "actuator_gear", "actuator_trnid"),
+    *("actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange"),
+    *("geom_type", "geom_bodyid", "geom_size", "geom_pos", "geom_quat", "geom_friction"),
+    *("geom_priority", "geom_condim", "geom_contype", "geom_conaffinity", "geom_solref"),
+    *("geom_solimp", "geom_margin", "site_bodyid", "site_pos", "site_quat"),
 )
+OPTIONS = ("gravity", "wind", "density", "viscosity", "integrator", "cone", "impratio")
 
 
 def identity_of(robot: Robot) -> str:
@@ -215,5 +219,8 @@ def identity_of(robot: Robot) -> str:
 @cache
 def _identity(name: str, mjcf: str) -> str:
     model = mujoco.MjModel.from_xml_path(mjcf)
-    values = b"".join(np.round(getattr(model, field), 6).tobytes() for field in FIELDS)
-    return f"{name} {hashlib.sha256(values).hexdigest()[:8]}"
+    values = [getattr(model, field) for field in FIELDS]
+    values += [getattr(model.opt, option) for option in OPTIONS]
+    # Some seven digits: the last ones, and the sign of 0, may differ between machines.
+    known = b"".join((np.round(v, 12).astype(np.float32) + 0.0).tobytes() for v in values)
+    return f"{name} {hashlib.sha256(known).hexdigest()[:8]}"
