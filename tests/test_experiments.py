@@ -41,4 +41,4 @@ def test_batches_are_those_that_were_published(compose_config):
     assert batch / cfg.minibatches == pytest.approx(512, rel=0.03)
     batch, cfg = sizes["zeroth_fall"]
     assert cfg.num_envs / cfg.minibatches == 64
-    assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at its 50 Hz
+    assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at the 50 Hz of the public template

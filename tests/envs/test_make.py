@@ -161,3 +161,19 @@ def test_a_partial_reset_is_put_together_as_torchrl_does_it(make_base):
     for key in theirs.keys(True, True):
         assert torch.equal(ours[key], theirs[key]), key
     assert torch.equal(ours["own"][::2], torch.zeros(2, 2))
+
+
+@pytest.mark.parametrize(("reader", "values", "noisy"), [
+    ("estimation.NumericalVelocity", {}, "joint_position"),
+    ("estimation.JointVelocityKalmanFilter", {}, "joint_position"),
+    ("estimation.TiltKalmanFilter", {}, "base_angular_velocity"),
+    ("observations.TiltAngles", {}, "projected_gravity"),
+])  # fmt: skip
+def test_sensing_after_an_estimator_that_should_see_it_is_refused(make_base, reader, values, noisy):
+    def of(place: str, **more: object) -> dict[str, object]:
+        return {"_target_": f"zfall.envs.transforms.{place}"} | more
+
+    noise = of("observations.ObservationNoise", std={noisy: 0.1})
+    with pytest.raises(ValueError, match=f"noise must come before reader, which reads {noisy}"):
+        make_env(make_base(), table(reader=of(reader, **values), noise=noise))
+    make_env(make_base(), table(noise=noise, reader=of(reader, **values)))

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from hydra.utils import get_object, instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, open_dict
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
@@ -153,7 +153,13 @@ def _in_place(
                 f"({', '.join(transforms)}), got {place}."
             )
         table.pop(name)
-        moved = {key: value for key, value in transform.items() if key != "before"}
+        moved: dict[str, Any] | DictConfig
+        if isinstance(transform, DictConfig):  # a copy knows its place, for messages
+            moved = transform.copy()
+            with open_dict(moved):
+                del moved["before"]
+        else:
+            moved = {key: value for key, value in transform.items() if key != "before"}
         at = list(table).index(place)
         items = list(table.items())
         table = dict([*items[:at], (name, moved), *items[at:]])
@@ -172,8 +178,8 @@ def _check_measured(built: Mapping[str, Transform]) -> None:
                     f"transforms.{name} must come before {read[key[1]]}, which reads {key[1]}: "
                     f"give it before: {read[key[1]]}."
                 )
-        if getattr(transform, "measured", False) is True:
-            read |= dict.fromkeys(transform.in_keys, name)
+        reads = getattr(transform, "measured", ())  # keys, or true: all that it reads
+        read |= dict.fromkeys(transform.in_keys if reads is True else reads or (), name)
 
 
 def left_out(training_only: Mapping[str, bool] | Collection[str]) -> list[str]:

@@ -1,5 +1,7 @@
 """Levels count successes; fields follow levels."""
 
+import math
+
 import pytest
 import torch
 from hydra.errors import InstantiationException
@@ -137,6 +139,14 @@ def test_a_restored_level_moves_the_fields(make_task):
     ({"push.force": [1, 2]}, "fields.push.force must be a number or a pair, it is None"),
     ({"push.direction": [0, 1]}, "must be a number or a pair, it is 'planar'"),
     ({"push.size": [[0.1, 0.2]]}, "fields.push.size must hold at least two stages"),
+    ({"push.size": [[0.1, 0.2], [-0.3, 0.4]]}, r"push.size must be finite and within \[0, inf\] at every"),
+    ({"push.size": [[0.1, 0.2, 0.3], [0.1, 0.2, 0.3]]}, r"push.size must hold values like \[0.1, 0.2\]"),
+    ({"push.size": [[0.1, 0.2], [0.1]]}, "push.size must hold numbers or pairs alone"),
+    ({"push.size": 0.3}, "push.size must hold at least two stages, got 0.3"),
+    ({"push.duration": [[0, 0], [0.1, 0.1]]}, r"push.duration must be finite and within \[1e-06, inf\]"),
+    ({"noise.std.joint_position": [0.0, -0.1]}, r"must be finite and within \[0, inf\]"),
+    ({"noise.std.joint_position": [0.0, math.nan]}, r"must be finite and within \[0, inf\]"),
+    ({"delay.delay": [[0, 0], [0.2, 0.2]]}, r"delay.delay must be finite and within \[0, 0.1\]"),
     ({"limit.max_steps": [10, 20]}, "fields.limit.max_steps must stay: it counts steps"),
     ({"mode.rule.hold": [1, 5]}, "fields.mode.rule.hold must stay: it counts steps"),
 ])  # fmt: skip

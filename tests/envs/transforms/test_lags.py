@@ -30,9 +30,21 @@ def test_bounds_set_later_stay_within_the_buffer(bounds):
         lags().draw(bounds, (64,))
 
 
-@pytest.mark.parametrize("delay", [(0.02, 0.01), (-0.01, 0.01), (0.0, 0.11), (0.0,)])
+@pytest.mark.parametrize("delay", [(0.02, 0.01), (-0.01, 0.01), (0.0, 0.11)])
 def test_bounds_out_of_order_are_refused(delay):
     with pytest.raises(
         ValueError, match=r"delay must be \[shortest, longest\] within \[0, max_delay\]"
     ):
         lags(delay)
+
+
+@pytest.mark.parametrize("delay", [0.02, "fast", ["a", "b"], (0.0,), (0.0, float("inf"))])
+def test_what_is_no_pair_is_refused(delay):
+    with pytest.raises(ValueError, match="delay must be two finite numbers, got"):
+        lags(delay)
+
+
+def test_the_longest_delay_may_lie_between_two_physics_steps():
+    """0.0225 s of 5 ms are 4.5 steps: the buffer holds 4, whatever float32 makes of it."""
+    given = lags((0.0225, 0.0225), max_delay=0.0225, physics_dt=0.005)
+    assert given.draw((0.0225, 0.0225), (3,)).tolist() == [4, 4, 4]

@@ -235,3 +235,26 @@ def test_bad_values_are_refused(make_base, values, message):
 def test_a_hold_shorter_than_a_step_is_one_step(make_base):
     assert ModeMachine(make_base(control_dt=0.04), hold=0.001).rule.hold == 1
     assert math.isclose(ModeMachine(make_base(control_dt=0.02)).rule.hold * 0.02, 0.2)
+
+
+@pytest.mark.parametrize("fall", [0.95, 0.2])
+def test_a_predicted_fall_keeps_the_way_back_shut(make_base, fall):
+    """Upright and untouched: 0.08 s of danger are two steps, 0.12 s of calm three."""
+    env = make_base(num_envs=1)
+    machine = ModeMachine(env, probability=0.7, hold=0.08, back=0.12)
+    td = step([0.0], [0.0], [False], env)
+    td["mode"] = machine._reset(TensorDict(batch_size=[1]), TensorDict(batch_size=[1]))["mode"]
+    seen = []
+    for k in range(10):
+        td["fall_probability"] = torch.tensor([[0.95 if k < 2 else fall]])
+        after = machine._step(td, td.clone())
+        td["mode"] = after["mode"]
+        seen.append(int(after["mode"].argmax()))
+    back = RECOVER if fall < 0.7 else KNEEL
+    assert seen == [RECOVER, KNEEL, KNEEL, KNEEL, *[back] * 6]
+
+
+def test_a_probability_asks_for_a_predictor(make_task):
+    table = {"mode": (ModeMachine, {"probability": 0.5})}
+    with pytest.raises(ValueError, match="probability must be null without a FallPredictor"):
+        make_task(table).observation_spec  # noqa: B018

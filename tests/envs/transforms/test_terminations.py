@@ -1,5 +1,7 @@
 """When episodes end, and how."""
 
+from functools import partial
+
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
@@ -58,3 +60,28 @@ def test_collecting_goes_on_in_a_new_episode(make_base):
 def test_limit_shorter_than_a_step_is_refused(make_base):
     with pytest.raises(ValueError, match=r"seconds must be at least control_dt 0.04, got 0.01"):
         time_limit(make_base(), seconds=0.01)
+
+
+def wrong(td, next_td, *, kind):
+    if kind == "key":
+        return next_td["nothing"] > 0
+    falls = torch.tensor([False, True, False])
+    return falls if kind == "shape" else falls[:, None].float()
+
+
+@pytest.mark.parametrize(("kind", "message"), [
+    ("key", "conditions.mine reads what is not there: .*nothing"),
+    ("shape", r"conditions.mine must return \(3, 1\) bool, one per world, got \(3,\) bool"),
+    ("type", r"conditions.mine must return \(3, 1\) bool, one per world, got \(3, 1\) float32"),
+])  # fmt: skip
+def test_a_condition_that_gives_something_else_is_refused(make_base, kind, message):
+    env = build(make_base, {"mine": partial(wrong, kind=kind)})
+    td = env.reset()
+    td["action"] = torch.zeros(3, 20)
+    with pytest.raises(ValueError, match=message):
+        env.step(td)
+
+
+def test_a_condition_that_is_no_function_is_refused(make_base):
+    with pytest.raises(ValueError, match="conditions.tilt must be a function or null, got 0.5"):
+        Terminations(make_base(), conditions={"tilt": 0.5})

@@ -58,9 +58,9 @@ class Command(Transform):
         for name, bounds in (ranges or {}).items():
             if name not in ENTRIES:
                 raise ValueError(f"ranges must be of {', '.join(ENTRIES)}, got {name!r}.")
-            check_range(f"ranges.{name}", list(bounds), negative=True)
+            check_range(f"ranges.{name}", bounds, negative=True)
         if interval is not None:
-            check_range("interval", list(interval))
+            check_range("interval", interval)
             if interval[0] < env.control_dt:
                 raise ValueError(
                     f"interval must be at least control_dt ({env.control_dt}), "

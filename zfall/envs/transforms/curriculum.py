@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.parameters import ANY_NUMBER
 
 _COUNTS = {"steps", "max_steps", "rule"}  # fields in whole steps, not of one world
 
@@ -38,7 +39,8 @@ class Curriculum(Transform):
         success: name of the condition of ``Terminations`` that is no failure but the aim.
 
     Raises:
-        ValueError: on a field that does not exist or is no number, or a bad level.
+        ValueError: on a field that does not exist or is no number, a stage beyond what its
+            transform allows (``limits``), or a bad level.
     """
 
     level: Tensor
@@ -62,9 +64,15 @@ class Curriculum(Transform):
                 raise ValueError(f"{name} must not be negative, got {value}.")
         self.fields = {}
         for name, stages in fields.items():
-            if len(stages) < 2:
+            if not isinstance(stages, (list, tuple)) or len(stages) < 2:
                 raise ValueError(f"fields.{name} must hold at least two stages, got {stages}.")
-            self.fields[name] = torch.tensor([list(s) if _pair(s) else s for s in stages]).float()
+            try:
+                rows = [list(s) if _pair(s) else s for s in stages]
+                self.fields[name] = torch.tensor(rows, dtype=torch.float32)
+            except (TypeError, ValueError) as error:
+                raise ValueError(
+                    f"fields.{name} must hold numbers or pairs alone, got {stages}."
+                ) from error
         self.up, self.down, self.stepwise = up, down, stepwise
         self.success = success
         self._targets: dict[str, tuple[Any, str]] = {}
@@ -102,9 +110,16 @@ class Curriculum(Transform):
                 )
             if not (_number(value) or _pair(value)):
                 raise ValueError(f"fields.{name} must be a number or a pair, it is {value!r}.")
-            if _pair(value) != (stages.dim() == 2):
+            if _pair(value) != (stages.dim() == 2) or stages.shape[1:] not in ((), (2,)):
                 raise ValueError(
                     f"fields.{name} must hold values like {value!r}, got {stages.tolist()}."
+                )
+            low, high = getattr(transforms[first], "limits", {}).get([*middle, last][0], ANY_NUMBER)
+            sound = (stages >= low) & (stages <= high + 1e-6) & stages.isfinite()  # float32
+            if not sound.all():
+                raise ValueError(
+                    f"fields.{name} must be finite and within [{low:g}, {high:g}] at every stage, "
+                    f"got {stages.tolist()}."
                 )
             self._targets[name] = (owner, last)
         self._move()

@@ -89,6 +89,8 @@ class TiltKalmanFilter(Transform):
     state: Tensor
     rate: Tensor
 
+    measured = ("base_acceleration", "base_angular_velocity")  # sensing must come before it
+
     def __init__(
         self,
         env: HumanoidEnv,
@@ -176,6 +178,8 @@ class JointVelocityKalmanFilter(Transform):
     matrix: Tensor
     state: Tensor
 
+    measured = True  # sensing must come before it
+
     def __init__(
         self, env: HumanoidEnv, *, position_std: float = 0.01, acceleration_std: float = 10.0
     ):
@@ -230,6 +234,8 @@ class NumericalVelocity(Transform):
     """
 
     previous: Tensor
+
+    measured = True  # sensing must come before it
 
     def __init__(self, env: HumanoidEnv):
         super().__init__(in_keys=["joint_position"], out_keys=[("measured", "joint_velocity")])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import per_world, two_numbers
 
 
 class Lags:
@@ -31,15 +31,16 @@ class Lags:
         physics_dt: float,
         rng: torch.Generator,
     ):
-        if len(delay) != 2 or not 0 <= delay[0] <= delay[1] <= max_delay:
+        low, high = two_numbers("delay", delay)
+        if not 0 <= low <= high <= max_delay:
             raise ValueError(
-                f"delay must be [shortest, longest] within [0, max_delay], got {list(delay)} "
+                f"delay must be [shortest, longest] within [0, max_delay], got {[low, high]} "
                 f"with max_delay {max_delay}."
             )
         if per not in ("episode", "step"):
             raise ValueError(f"per must be episode or step, got {per!r}.")
         self.per, self.physics_dt, self.rng = per, physics_dt, rng
-        self.longest = round(max_delay / physics_dt)
+        self.max_delay, self.longest = max_delay, round(max_delay / physics_dt)
 
     def draw(self, delay: Sequence[float] | Tensor, shape: tuple[int, ...]) -> Tensor:
         """Lags of ``shape`` ``(N,)`` or ``(N, J)`` [physics steps].
@@ -54,10 +55,10 @@ class Lags:
         low, high = (per_world(bound, len(shape)) for bound in delay)
         seconds = low + (high - low) * torch.rand(shape, generator=self.rng)
         lag = torch.round(seconds / self.physics_dt).long()
-        if int(lag.amin()) < 0 or int(lag.amax()) > self.longest:
-            limit = self.longest * self.physics_dt
+        least, most = float(seconds.amin()), float(seconds.amax())
+        if least < 0 or most > self.max_delay + 1e-6:  # float32
             raise ValueError(
-                f"delay must stay within [0, max_delay], got [{float(seconds.amin()):g}, "
-                f"{float(seconds.amax()):g}] with max_delay {limit:g}."
+                f"delay must stay within [0, max_delay], got [{least:g}, {most:g}] "
+                f"with max_delay {self.max_delay:g}."
             )
-        return lag
+        return lag.clamp_max(self.longest)

@@ -97,8 +97,8 @@ class ModeMachine(Transform):
     Danger is a tilt above ``angle`` or an angular velocity above ``angular_velocity`` or, with a
     ``FallPredictor`` before it and a ``probability``, a predicted fall. Rest is ``resting_kneel``;
     a policy that explores never has its joints at rest, so that training needs wide bounds, and
-    ``StableHold`` then stops them. Standing, the way back, is no danger and no contact but the
-    feet's.
+    ``StableHold`` then stops them. Standing, the way back, is no danger of either kind and no
+    contact but the feet's.
 
     Keys: reads what these do, writes ``mode`` ``(N, 3)``, one of them 1: recover, kneel, stable.
 
@@ -168,6 +168,7 @@ class ModeMachine(Transform):
         calm = ~danger & ~body_contact(tensordict, next_tensordict).squeeze(-1)
         if self.probability is not None:
             danger = next_tensordict["fall_probability"].squeeze(-1) > self.probability
+            calm &= ~danger
         resting = self._resting(tensordict, next_tensordict).squeeze(-1)
         mode, self.ahead, self.behind = self.rule.advance(state, danger, resting, calm)
         return next_tensordict.set("mode", one_hot(mode))
@@ -182,6 +183,11 @@ class ModeMachine(Transform):
         return tensordict_reset.set("mode", one_hot(mode))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        if self.probability is not None and "fall_probability" not in observation_spec.keys():
+            raise ValueError(
+                "probability must be null without a FallPredictor before the mode machine, "
+                f"got {self.probability}."
+            )
         observation_spec["mode"] = Unbounded((*observation_spec.shape, len(MODES)))
         return observation_spec
 

@@ -22,10 +22,18 @@ class Terminations(Transform):
         env: the base env; conditions that ask for ``robot`` or ``joint_range`` are given its own.
         conditions: ``name: condition``, a function of the TensorDicts before and after the step
             that returns ``(N, 1)`` bool. ``null`` leaves the condition out.
+
+    Raises:
+        ValueError: if a condition is none or, at the first step, reads what is not there or
+            returns something else.
     """
 
     def __init__(self, env: HumanoidEnv, *, conditions: dict[str, Callable[..., Tensor] | None]):
         super().__init__()
+        self.shape = (env.num_envs, 1)
+        for name, condition in conditions.items():
+            if condition is not None and not callable(condition):
+                raise ValueError(f"conditions.{name} must be a function or null, got {condition}.")
         self.conditions = {
             name: bind(condition, robot=env.robot, joint_range=env.joint_range)
             for name, condition in conditions.items()
@@ -35,7 +43,17 @@ class Terminations(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         terminated = next_tensordict["terminated"]
         for name, condition in self.conditions.items():
-            holds = condition(tensordict, next_tensordict)
+            try:
+                holds = condition(tensordict, next_tensordict)
+            except KeyError as error:
+                raise ValueError(
+                    f"conditions.{name} reads what is not there: {error.args[0]}"
+                ) from error
+            if holds.shape != self.shape or holds.dtype != bool_:
+                raise ValueError(
+                    f"conditions.{name} must return {self.shape} bool, one per world, "
+                    f"got {tuple(holds.shape)} {str(holds.dtype).removeprefix('torch.')}."
+                )
             next_tensordict["terminations", name] = holds
             terminated = terminated | holds
         next_tensordict["terminated"] = terminated

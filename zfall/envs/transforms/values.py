@@ -9,6 +9,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms.utils import _get_reset
 
+# Bounds of a field that ``Curriculum`` moves, in a transform's ``limits``.
+NOT_NEGATIVE, POSITIVE = (0.0, math.inf), (1e-6, math.inf)
+
 
 def reset_rows(tensordict: TensorDictBase) -> Tensor:
     """The worlds that a reset touches ``(N,)`` bool."""
@@ -26,8 +29,10 @@ def per_world(value: float | Tensor, dims: int) -> float | Tensor:
 
 
 def check_not_negative(name: str, values: dict[str, float]) -> None:
-    """Raises ``ValueError`` on a value below 0, naming the key ``name.KEY``."""
+    """Raises ``ValueError`` on what is no finite number from 0 on, naming the key ``name.KEY``."""
     for key, value in values.items():
+        if not isinstance(value, Real) or value == math.inf:
+            raise ValueError(f"{name}.{key} must be a finite number, got {value}.")
         if not value >= 0:
             raise ValueError(f"{name}.{key} must not be negative, got {value}.")
 

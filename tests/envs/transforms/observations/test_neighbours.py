@@ -34,6 +34,21 @@ def test_neighbours_lie_around_each_observation_by_their_sigma(make_base):
         assert away[..., 3:].mean().item() == pytest.approx(0.0, abs=0.005)
 
 
+@pytest.mark.parametrize("sigma", [0.1, {"joint_position": 0.1}])
+def test_their_spread_may_differ_from_world_to_world(make_base, sigma):
+    base = make_base(num_envs=2)
+    near = CAPSNeighbours(base, sigma=sigma, keys=KEYS)
+    (name,) = near.sigma
+    near.sigma[name] = torch.tensor([0.0, 0.5])  # as a curriculum sets it
+    seen = TensorDict(
+        {"projected_gravity": torch.zeros(2, 3), "joint_position": torch.zeros(2, 20)}, [2]
+    )
+    seen["observation"] = torch.zeros(2, 23)
+    drawn = torch.stack([near._call(seen.clone())["observation_neighbour"] for _ in range(200)])
+    assert not drawn[:, 0].any()
+    assert drawn[:, 1, 3:].std().item() == pytest.approx(0.5, rel=0.05)
+
+
 def test_a_replay_buffer_draws_new_ones_with_every_sample():
     buffer = ReplayBuffer(storage=LazyTensorStorage(100), batch_size=1000)
     buffer.append_transform(CAPSNeighbours(sigma=0.3))

@@ -49,6 +49,7 @@ class ActuatorDelay(Transform):
         joints: str = "shared",
     ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        self.limits = {"delay": (0.0, max_delay)}
         self._lags = Lags(
             delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt, rng=env.rng
         )

@@ -7,7 +7,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands
-from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.envs.transforms.values import POSITIVE, per_world, reset_rows
 
 
 class LowPass(Transform):
@@ -30,6 +30,8 @@ class LowPass(Transform):
 
     level: Tensor
     age: Tensor
+
+    limits = {"time_constant": POSITIVE}
 
     def __init__(self, env: HumanoidEnv, *, time_constant: float):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])

@@ -13,7 +13,7 @@ from zfall.envs.transforms.observations.measured import (
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.values import check_not_negative, per_world, reset_rows
+from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world, reset_rows
 
 
 class ObservationBias(Transform):
@@ -33,6 +33,8 @@ class ObservationBias(Transform):
     Raises:
         ValueError: on a negative value, no key at all, or a key that the base env does not have.
     """
+
+    limits = {"std": NOT_NEGATIVE, "uniform": NOT_NEGATIVE}
 
     def __init__(
         self,
@@ -98,6 +100,8 @@ class ObservationRandomWalk(Transform):
     Raises:
         ValueError: on a negative rate, or a key that the base env does not have.
     """
+
+    limits = {"rate": NOT_NEGATIVE}
 
     def __init__(self, env: HumanoidEnv, *, rate: dict[str, float]):
         super().__init__(in_keys=list(rate), out_keys=[measured_key(key) for key in rate])

@@ -52,6 +52,7 @@ class ObservationDelay(Transform):
         per: str = "episode",
     ):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
+        self.limits = {"delay": (0.0, max_delay)}
         self._lags = Lags(
             delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt, rng=env.rng
         )

@@ -10,7 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.observations.vector import vector_spans
-from zfall.envs.transforms.values import check_not_negative
+from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
 
 
 class CAPSNeighbours(Transform):
@@ -37,6 +37,8 @@ class CAPSNeighbours(Transform):
     learning", ICRA 2021.
     """
 
+    limits = {"sigma": NOT_NEGATIVE}
+
     def __init__(
         self,
         env: HumanoidEnv | None = None,
@@ -54,17 +56,21 @@ class CAPSNeighbours(Transform):
             )
         self.sigma, self.keys = named, keys or []
         self.rng = None if env is None else env.rng
-        self.spread: float | Tensor | None = None if isinstance(sigma, Mapping) else float(sigma)
+        self.spans: dict[str, slice] | None = None if isinstance(sigma, Mapping) else {}
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         observation: Tensor = next_tensordict["observation"]
-        if self.spread is None:
-            self.spread = torch.zeros(observation.shape[-1])
-            spans = vector_spans(next_tensordict, self.keys)
-            for name, value in self.sigma.items():
-                self.spread[spans[name]] = value
+        if self.spans is None:
+            self.spans = vector_spans(next_tensordict, self.keys)
         noise = torch.randn(observation.shape, generator=self.rng)
-        return next_tensordict.set("observation_neighbour", observation + self.spread * noise)
+        if self.spans:
+            spread = torch.zeros_like(noise)
+            for name, value in self.sigma.items():
+                spread[..., self.spans[name]] = per_world(value, noise.ndim)
+            noise *= spread
+        else:
+            noise *= per_world(self.sigma["sigma"], noise.ndim)
+        return next_tensordict.set("observation_neighbour", observation + noise)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The same for a sampled batch ``(*B, D)``."""

@@ -11,7 +11,7 @@ from zfall.envs.transforms.observations.measured import (
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.values import check_not_negative, per_world
+from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
 
 
 class ObservationNoise(Transform):
@@ -32,6 +32,8 @@ class ObservationNoise(Transform):
     Raises:
         ValueError: on a negative value, no key at all, or a key that is not there.
     """
+
+    limits = {"std": NOT_NEGATIVE, "uniform": NOT_NEGATIVE}
 
     def __init__(
         self,

@@ -10,7 +10,7 @@ from zfall.envs.transforms.observations.measured import (
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import POSITIVE, per_world
 
 
 class Quantization(Transform):
@@ -27,6 +27,8 @@ class Quantization(Transform):
     Raises:
         ValueError: on a step that is not positive, or a key that is not there.
     """
+
+    limits = {"step": POSITIVE}
 
     def __init__(self, *, step: dict[str, float]):
         super().__init__(in_keys=list(step), out_keys=[measured_key(key) for key in step])

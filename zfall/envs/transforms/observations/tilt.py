@@ -22,6 +22,8 @@ class TiltAngles(Transform):
         ValueError: when the specs are built, if an earlier transform has measured ``tilt``.
     """
 
+    measured = True  # sensing must come before it
+
     def __init__(self) -> None:
         super().__init__(in_keys=["projected_gravity"], out_keys=["tilt", measured_key("tilt")])
 

@@ -10,7 +10,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.robots import GRAVITY
 from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
-from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, per_world, reset_rows
 
 
 class ThrownBall(Transform):
@@ -38,6 +38,8 @@ class ThrownBall(Transform):
     plan: Tensor
     count: Tensor
 
+    limits = {"speed": POSITIVE, "timing": NOT_NEGATIVE}
+
     def __init__(
         self,
         env: HumanoidEnv,
@@ -56,8 +58,8 @@ class ThrownBall(Transform):
                 "ThrownBall must have a ball to throw: give base_env.ball, for instance "
                 "{_target_: zfall.envs.model.Ball, mass: 0.2, radius: 0.04}; got none."
             )
-        check_range("speed", list(speed), positive=True)
-        check_range("aim", list(aim), negative=True)
+        check_range("speed", speed, positive=True)
+        check_range("aim", aim, negative=True)
         if not distance > 0:
             raise ValueError(f"distance must be positive, got {distance}.")
         self.timing = Timing(

@@ -7,6 +7,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
+from zfall.envs.transforms.values import two_numbers
+
 
 def between(bounds: Sequence[float] | Tensor, u: Tensor) -> Tensor:
     """Uniform values ``(N,)`` between bounds (one pair for all, or ``(2, N)``), from ``u``."""
@@ -26,12 +28,13 @@ def check_range(
         negative: whether values below 0 are allowed.
     """
     rule = f"{name} must be [smallest, largest]"
-    if len(bounds) != 2 or not bounds[0] <= bounds[1]:
-        raise ValueError(f"{rule}, got {list(bounds)}.")
-    if positive and not bounds[0] > 0:
-        raise ValueError(f"{name} must be positive, got {list(bounds)}.")
-    if not negative and bounds[0] < 0:
-        raise ValueError(f"{rule} of values that are not negative, got {list(bounds)}.")
+    low, high = two_numbers(name, bounds)
+    if not low <= high:
+        raise ValueError(f"{rule}, got {[low, high]}.")
+    if positive and not low > 0:
+        raise ValueError(f"{name} must be positive, got {[low, high]}.")
+    if not negative and low < 0:
+        raise ValueError(f"{rule} of values that are not negative, got {[low, high]}.")
 
 
 def heading(direction: str | Sequence[float], u: Tensor) -> Tensor:

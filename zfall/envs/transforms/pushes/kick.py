@@ -10,7 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
-from zfall.envs.transforms.values import reset_rows
+from zfall.envs.transforms.values import NOT_NEGATIVE, reset_rows
 
 
 class VelocityKick(Transform):
@@ -37,6 +37,8 @@ class VelocityKick(Transform):
     kick: Tensor
     count: Tensor
 
+    limits = {"velocity": NOT_NEGATIVE, "timing": NOT_NEGATIVE}
+
     def __init__(
         self,
         env: HumanoidEnv,
@@ -49,7 +51,7 @@ class VelocityKick(Transform):
     ):
         key = ("push", "kick")
         super().__init__(in_keys_inv=[key], out_keys_inv=[key])
-        check_range("velocity", list(velocity))
+        check_range("velocity", velocity)
         heading(direction, torch.zeros(2, 1))  # refuses a bad one
         self.timing = Timing(
             interval, mean_interval, times, longest=0.0, mean=0.0, control_dt=env.control_dt

@@ -1,6 +1,7 @@
 """Pushes at random times, of random size and heading."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -11,7 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
 from zfall.envs.transforms.pushes.force import PushForces
-from zfall.envs.transforms.values import reset_rows
+from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, reset_rows
 
 
 class RandomPush(Transform):
@@ -55,6 +56,10 @@ class RandomPush(Transform):
     point_now: Tensor
     count: Tensor
 
+    limits = dict.fromkeys(("force", "impulse", "size", "timing"), NOT_NEGATIVE) | {
+        "duration": POSITIVE
+    }
+
     def __init__(
         self,
         env: HumanoidEnv,
@@ -74,8 +79,9 @@ class RandomPush(Transform):
         super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
         points = [point] if isinstance(point, str) else list(point)
         self.forces = PushForces(env, points, profile)
-        self.duration = [duration] * 2 if isinstance(duration, (int, float)) else list(duration)
+        self.duration = [duration] * 2 if isinstance(duration, (int, float)) else duration
         check_range("duration", self.duration, positive=True)
+        self.duration = list(self.duration)
         self.timing = Timing(
             interval,
             mean_interval,
@@ -97,10 +103,11 @@ class RandomPush(Transform):
             if unknown:
                 raise ValueError(f"axes must be of x, y and z, got {unknown[0]!r}.")
             for axis, bounds in axes.items():
-                check_range(f"axes.{axis}", list(bounds), negative=True)
+                check_range(f"axes.{axis}", bounds, negative=True)
             axes = {axis: list(axes.get(axis, [0.0, 0.0])) for axis in "xyz"}
         else:
-            check_range(self.measure, list(force or impulse or size or []))
+            values: Any = measures[self.measure]
+            check_range(self.measure, values)
             heading(direction, torch.zeros(2, 1))  # refuses a bad one
         # Kept as given, in its own unit, so that a curriculum can move it.
         self.force, self.impulse, self.size, self.axes = force, impulse, size, axes
