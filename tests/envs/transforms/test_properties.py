@@ -61,6 +61,13 @@ TABLE = {  # in the order of a yaml
         "direction": "spherical",
         "profile": "gaussian",
     },
+    "timed": {
+        "_target_": f"{_PUSHES}.RandomPush",
+        "point": "torso",
+        "size": [0.1, 0.2],
+        "duration": 0.08,
+        "times": [0.04, 0.2, 0.36],
+    },
     "script": {
         "_target_": f"{_PUSHES}.ScriptedPush",
         "point": "chest",
@@ -68,8 +75,8 @@ TABLE = {  # in the order of a yaml
         "time": [0.1],
         "plan": [[3.0, 2.0, 0.0]],
     },
-    "kick": {"_target_": f"{_PUSHES}.VelocityKick", "velocity": [0.1, 0.3], "interval": [0.1, 0.3]},
-    "ball": {"_target_": f"{_PUSHES}.ThrownBall", "speed": [3, 4], "interval": [0.1, 0.5]},
+    "kick": {"_target_": f"{_PUSHES}.VelocityKick", "velocity": [0.1, 0.3], "times": [0.1, 0.2, 0.3]},
+    "ball": {"_target_": f"{_PUSHES}.ThrownBall", "speed": [3, 4], "times": [0.1, 0.3]},
     "random": {
         "_target_": f"{_RANDOM}.DomainRandomization",
         "interval": 0.12,

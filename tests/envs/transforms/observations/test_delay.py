@@ -126,12 +126,13 @@ def test_delay_after_another_sensing_transform_is_refused(make_base):
 
 
 def test_partial_reset_forgets_the_past_of_its_rows_alone(make_base):
-    env, delay = delayed(make_base, {"delay": (0.08, 0.08), "keys": ["joint_position"]}, num_envs=3)
+    env, delay = delayed(make_base, {"delay": (0.0, 0.08), "keys": ["joint_position"]}, num_envs=3)
     td = env.reset()
     for _ in range(3):
         td["action"] = torch.randn(3, 20)
         td = env.step(td)["next"]
     seen, history = td["measured", "joint_position"].clone(), delay.history.clone()
+    lag = delay.lag.clone()
     td["_reset"] = torch.tensor([[False], [True], [False]])
     td = env.reset(td)
     start = td["joint_position"][1]
@@ -140,6 +141,7 @@ def test_partial_reset_forgets_the_past_of_its_rows_alone(make_base):
     assert torch.equal(delay.history[1], start.expand_as(history[1]))
     assert torch.equal(td["measured", "joint_position"][[0, 2]], seen[[0, 2]])
     assert torch.equal(delay.history[[0, 2]], history[[0, 2]])
+    assert torch.equal(delay.lag[[0, 2]], lag[[0, 2]])
 
 
 def test_world_that_diverged_shows_its_new_state_at_every_physics_step(make_base):
