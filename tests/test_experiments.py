@@ -42,3 +42,15 @@ def test_batches_are_those_that_were_published(compose_config):
     batch, cfg = sizes["zeroth_fall"]
     assert cfg.num_envs / cfg.minibatches == 64
     assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at the 50 Hz of the public template
+
+
+@pytest.mark.parametrize("name", ["atalante_standing", "atalante_standing_laptop"])
+def test_atalante_is_conditioned_for_smoothness(name, compose_config):
+    """L1 in time and squared L2 in space, on the mean; 40 workers for 100 M steps."""
+    cfg = compose_config(f"experiment={name}")
+    caps = cfg.auxiliary_losses.caps
+    assert (caps.temporal_norm, caps.spatial_norm, caps.on_actions) == ("l1", "squared_l2", False)
+    assert caps.temporal_coeff > 0
+    assert caps.spatial_coeff > 0
+    if name == "atalante_standing":
+        assert (cfg.num_envs, cfg.total_frames) == (40, 100_000_000)

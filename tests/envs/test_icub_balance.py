@@ -151,3 +151,27 @@ def test_a_policy_learns_on_it(compose_config):
     for _ in range(2):
         means = learner.learn(learner.collect())
     assert all(math.isfinite(value) for value in means.values())
+
+
+def test_starts_pushes_and_physics_are_those_of_the_paper(compose_config):
+    """10 degrees, 90 degrees/s; 200 N for 0.2 s on 33 kg, every 5 s; 20 ms; a fifth of the mass."""
+    parts = compose_config("env=icub_balance").env.transforms
+    noise = parts.start.joint_position, parts.start.joint_velocity
+    assert noise == pytest.approx((math.radians(10), math.radians(90)), rel=1e-4)
+    size = 200 * 0.2 / (33 * math.sqrt(9.81 * 0.53))
+    assert parts.push["size"] == pytest.approx([size, size], rel=0.01)
+    assert parts.push.duration == pytest.approx(0.2 * SPEED, rel=0.02)
+    pushed = parts.push.mean_interval, parts.push.direction, parts.push.point
+    assert pushed == (5.0, "spherical", "pelvis")
+    assert parts.delay.delay == [0.0, 0.02]
+    params = parts.randomization.params
+    assert (params.link_mass.normal, params.foot_friction.uniform) == ([1.0, 0.2], [0.5, 3.0])
+
+
+def test_learning_is_that_of_table_3(compose_config):
+    cfg = compose_config("experiment=icub_balance")
+    loss = cfg.loss
+    assert (loss.gamma, loss.lmbda, loss.clip_epsilon, loss.value_clip) == (0.95, 1.0, 0.3, 1000.0)
+    assert loss.kl_coeff > 0
+    found = cfg.optimizer.lr, cfg.scheduler, cfg.epochs, cfg.num_envs, cfg.total_frames
+    assert found == (1e-4, None, 32, 32, 20_000_000)

@@ -121,3 +121,40 @@ def test_a_policy_learns_on_it(compose_config):
     for _ in range(2):
         means = learner.learn(learner.collect())
     assert all(math.isfinite(value) for value in means.values())
+
+
+def test_stages_of_the_push_curriculum_are_those_of_the_report(compose_config):
+    """Forces along x, y, z [N] and seconds between pushes: easy, medium, hard, kneel."""
+    stages = {
+        "push.axes.x": [20, 40, 60, 100],
+        "push.axes.y": [10, 30, 50, 80],
+        "push.axes.z": [0, 0, 10, 20],
+    }
+    parts = config(compose_config).transforms
+    fields = OmegaConf.to_container(parts.curriculum.fields)
+    rests = fields.pop("push.timing.interval")
+    assert fields == {name: [[-n, n] for n in forces] for name, forces in stages.items()}
+    assert rests == [[2, 4], [1.5, 3], [1, 2.5], [1, 2]]
+    assert (parts.push.duration, parts.curriculum.stepwise) == (0.1, True)
+
+
+def test_speed_ends_and_physics_are_those_of_template_and_design_notes(compose_config):
+    parts = config(compose_config).transforms
+    assert parts.reward.terms.forward_velocity[1].limit == 0.2
+    ends = parts.terminations.conditions
+    assert (ends.height.lowest, ends.height.highest, ends.tilt.angle) == (0.05, 0.5, 1.0)
+    drawn = {k: [v.uniform, v.get("shared")] for k, v in parts.randomization.params.items()}
+    assert drawn == {
+        "foot_friction": [[0.5, 1.5], None],
+        "link_mass": [[0.9, 1.1], True],
+        "servo_stiffness": [[0.8, 1.2], True],
+        "joint_damping": [[0.8, 1.2], True],
+    }
+    assert parts.noise.std == {"joint_position": 0.01}
+
+
+def test_learning_is_that_of_the_report(compose_config):
+    """AdamW with a rate of 3e-4, gradients of a norm of 2 at most."""
+    cfg = compose_config("experiment=zeroth_fall")
+    found = cfg.optimizer._target_, cfg.optimizer.lr, cfg.scheduler, cfg.max_grad_norm
+    assert found == ("torch.optim.AdamW", 3e-4, None, 2.0)

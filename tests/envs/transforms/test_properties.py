@@ -75,7 +75,11 @@ TABLE = {  # in the order of a yaml
         "time": [0.1],
         "plan": [[3.0, 2.0, 0.0]],
     },
-    "kick": {"_target_": f"{_PUSHES}.VelocityKick", "velocity": [0.1, 0.3], "times": [0.1, 0.2, 0.3]},
+    "kick": {
+        "_target_": f"{_PUSHES}.VelocityKick",
+        "velocity": [0.1, 0.3],
+        "times": [0.1, 0.2, 0.3],
+    },
     "ball": {"_target_": f"{_PUSHES}.ThrownBall", "speed": [3, 4], "times": [0.1, 0.3]},
     "random": {
         "_target_": f"{_RANDOM}.DomainRandomization",
