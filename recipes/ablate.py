@@ -97,8 +97,12 @@ def submit(todo: list[int], cfg: DictConfig) -> None:
         if source.provider == "command-line":  # a folder of the user's own studies
             command.append(f"--config-dir={source.path}")
     Path(cfg.runs).mkdir(parents=True, exist_ok=True)
-    with (Path(cfg.runs) / f"{cfg.study.name}.log").open("a") as log:
-        subprocess.run(command, stdout=log, stderr=log, check=False)
+    path = Path(cfg.runs) / f"{cfg.study.name}.log"
+    with path.open("a") as log:
+        code = subprocess.run(command, stdout=log, stderr=log, check=False).returncode
+    if code:
+        last = (path.read_text().strip().splitlines() or ["nothing"])[-1]
+        print(f"error: launcher {cfg.launcher} failed ({path}): {last}", file=sys.stderr)
 
 
 def write_tables(runs: list[Run], cfg: DictConfig) -> None:

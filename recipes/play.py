@@ -15,6 +15,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
 from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shown_path, start
+from recipes.ranges import check_lists, check_number, check_whole
 from recipes.showcase import frame
 from recipes.tested import BASELINES, keep, load_run
 from zfall.envs.make import left_out
@@ -33,6 +34,10 @@ def main(cfg: DictConfig) -> None:
         check_keys(cfg, KEYS)
         if cfg.run is None or cfg.run in BASELINES:
             raise ValueError(f"run must be a run folder, got {cfg.run or 'none'}.")
+        check_lists(cfg, ["keep"])
+        check_whole(cfg, ("num_envs", "seed"))
+        check_number(cfg.num_envs, "num_envs", lambda x: x >= 1, "be at least 1")
+        check_number(cfg.seconds, "seconds", lambda x: x > 0, "be positive")
         env_cfg, actor = load_run(cfg, cfg.run)
         env_cfg = keep(env_cfg, cfg.keep)
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig
 from torch import Tensor
 
 _COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
@@ -16,7 +16,7 @@ def check_ranges(cfg: DictConfig) -> None:
     Raises:
         ValueError: on a number out of its range, or something else in its place.
     """
-    _check_whole(cfg, (*_COUNTS, "seed", "burn_in"))
+    check_whole(cfg, (*_COUNTS, "seed", "burn_in"))
     for key in _COUNTS:
         check_number(cfg[key], key, lambda x: x >= 1, "be at least 1")
     check_number(
@@ -62,10 +62,18 @@ def check_finite(values: dict[str, Tensor], update: int) -> None:
             )
 
 
-def _check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
+def check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
+    """Refuses what is no whole number, naming the key."""
     for key in keys:
         if type(cfg[key]) is not int:
             raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
+
+
+def check_lists(cfg: DictConfig, keys: Iterable[str]) -> None:
+    """Refuses what is no list, naming the key; ``null`` is left to its reader."""
+    for key in keys:
+        if cfg.get(key) is not None and not isinstance(cfg[key], ListConfig):
+            raise ValueError(f"{key} must be a list, [{cfg[key]}], got {cfg[key]}.")
 
 
 def check_number(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:

@@ -13,6 +13,7 @@ from recipes.digests import MOVEMENTS, digest, env_digest, file_digest
 from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.metrics import MEASURES
 
 STUDY = {
     *("name", "base", "rows", "seeds", "row_seeds", "total_frames", "battery", "training_size"),
@@ -153,6 +154,7 @@ def _tests(
 ) -> tuple[Test, ...]:
     wanted: dict[str, Any] = {
         "training": training_digest(cfg),
+        "measures": MEASURES,
         "battery": asdict(battery_of(study)),
         "training_size": OmegaConf.select(study, "training_size"),
     }

@@ -216,6 +216,8 @@ def checkpoint_of(
     Raises:
         ValueError: if there is neither.
     """
+    if not isinstance(run, str):
+        raise ValueError(f"{key} must be the name of one folder or policy, got {run}.")
     path = _shipped(run)
     if path.exists():
         return path

@@ -30,25 +30,27 @@ def show_trial(
     ``folder``.
     """
     traces: dict[str, pd.DataFrame] = {}
-    push = (0.0, 0.0)
+    pushes: list[tuple[float, float]] = []
     for each in tested:
-        row, rows = run_trial(battery, each, cfg, console)
+        row, rows, pushed = run_trial(battery, each, cfg, console)
         joint = str(cfg.joint)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[each.name] = rows.rename(columns=renamed)
-        if battery.interval is None and row["impulse"] > 0:
-            push = (battery.push_time, battery.push_time + row["duration_s"])
+        if battery.interval is not None:  # a row of them, at the resolution of control steps
+            pushes += pushed
+        elif row["impulse"] > 0:
+            pushes = [(battery.push_time, battery.push_time + row["duration_s"])]
     traces = dict(zip(labels(list(traces)), traces.values(), strict=True))
     for ending in ("png", "pdf"):
         path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
-        trace_plot(traces, path, joint=joint, push=push)
+        trace_plot(traces, path, joint=joint, pushes=pushes)
         console.print(f"wrote {path}")
 
 
 def run_trial(
     battery: Battery, tested: Tested, cfg: DictConfig, console: Console
-) -> tuple[dict[Hashable, Any], pd.DataFrame]:
-    """A trial's row, and what its joints did in each control step."""
+) -> tuple[dict[Hashable, Any], pd.DataFrame, list[tuple[float, float]]]:
+    """A trial's row, what its joints did in each control step, and when it was pushed [s]."""
     states: list[NDArray[np.float64]] = []
     forces: list[NDArray[np.float32]] = []
     signals: list[NDArray[np.float32]] = []
@@ -81,7 +83,9 @@ def run_trial(
     rows.to_csv(tested.folder / f"trial_{cfg.trial}.csv", index=False)
     if cfg.video:
         path = tested.folder / f"trial_{cfg.trial}.mp4"
-        label = f"I = {row['impulse']:.2g}, {np.degrees(row['direction_rad']):.0f} degrees"
+        label = f"I = {row['impulse']:.2g}"
+        if np.isfinite(row["direction_rad"]):
+            label += f", {np.degrees(row['direction_rad']):.0f} degrees"
         shown = {Path(tested.name).name: np.stack(states)}
         dt = env.base_env.control_dt
         try:
@@ -89,4 +93,6 @@ def run_trial(
             console.print(f"wrote {path}")
         except RuntimeError as error:
             console.print(f"no video: {error}")
-    return row, rows
+    acting = np.concatenate(forces).reshape(len(forces), -1).any(1).astype(int)
+    edges = np.flatnonzero(np.diff(acting, prepend=0, append=0)) * env.base_env.control_dt
+    return row, rows, list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

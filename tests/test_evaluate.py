@@ -125,6 +125,12 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
     ("given", "message"),
     [
         (["runs=best"], "error: runs must be a list, [best], got best."),
+        (["run=best", "keep=noise"], "error: keep must be a list, [noise], got noise."),
+        (["run=[best,kneel]"], "error: run must be the name of one folder or policy"),
+        (["run=best", "num_envs=abc"], "error: num_envs must be a whole number, got abc."),
+        (["run=best", "seed=-1"], "error: seed must not be negative, got -1."),
+        (["run=best", "point=5"], "error: point must be a name, or a list of at least one, got 5."),
+        (["run=best", "env=icub_balance"], "error: env must be given for baselines alone, best"),
         (["run=best", "video=true"], "error: video needs a trial"),
         (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
         (["run=best", "starts=abc"], "error: starts must be a whole number, got abc."),

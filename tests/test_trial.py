@@ -14,7 +14,9 @@ def test_runs_whose_folders_have_the_same_name_are_drawn_apart(tmp_path, monkeyp
     rows = pd.DataFrame(
         {f"{key}/left_hip_pitch": [0.0] for key in ("target", "position", "torque")}
     )
-    monkeypatch.setattr(trial, "run_trial", lambda *_: ({"impulse": 0.5, "duration_s": 0.1}, rows))
+    monkeypatch.setattr(
+        trial, "run_trial", lambda *_: ({"impulse": 0.5, "duration_s": 0.1}, rows, [])
+    )
     monkeypatch.setattr(trial, "trace_plot", lambda traces, *_, **__: drawn.append(list(traces)))
     tested = [
         Subject(name, None, None, tmp_path, "") for name in ("runs/A/0", "runs/B/0", "pose_hold")

@@ -86,7 +86,7 @@ def test_every_figure_is_drawn(tmp_path, ending):
         "bands": lambda p: learning_bands({"a": seeds, "b": seeds[:1]}, p),
         "heat": lambda p: withstood_map(rows, p, title="test"),
         "profiles": lambda p: profiles_plot({"a": rows}, p, title="test"),
-        "traces": lambda p: trace_plot({"a": trace}, p, joint="knee", push=(3.0, 3.1)),
+        "traces": lambda p: trace_plot({"a": trace}, p, joint="knee", pushes=[(3.0, 3.1)]),
         "map": lambda p: success_map(rows, p, title="test", lines=lines),
     }
     for name, draw in figures.items():
@@ -110,7 +110,7 @@ def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
     )  # fmt: skip
     learning_bands({name: [curve] for name in names}, tmp_path / "a.png")
     profiles_plot(dict.fromkeys(names, trials), tmp_path / "b.png", title="test")
-    trace_plot(dict.fromkeys(names, trace), tmp_path / "c.png", joint="knee", push=(0.5, 0.6))
+    trace_plot(dict.fromkeys(names, trace), tmp_path / "c.png", joint="knee", pushes=[(0.5, 0.6)])
     assert len(drawn) == 3
     for figure in drawn:
         lines = [line for line in figure.axes[0].lines if line.get_label()[0] in names]

@@ -117,7 +117,10 @@ def load_battery(name: str, **options: Any) -> Battery:
     numbers["impulses"] = tuple(float(impulse) for impulse in numbers["impulses"])
     if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
         raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
-    if not isinstance(numbers["point"], str):
+    points = numbers["point"]
+    if isinstance(points, (int, float)) or not points:
+        raise ValueError(f"point must be a name, or a list of at least one, got {points}.")
+    if not isinstance(points, str):
         numbers["point"] = tuple(numbers["point"])
     if not isinstance(numbers["duration"], (int, float)):
         numbers["duration"] = tuple(numbers["duration"])

@@ -64,6 +64,7 @@ class Outcomes:
         self.regions = env.regions
         self.time = 0.0
         self.fell = torch.zeros(n, dtype=torch.bool)
+        self.diverged = torch.zeros(n, dtype=torch.bool)
         self.settled = torch.zeros(n, dtype=torch.bool)
         self.counted = torch.zeros(n, dtype=torch.bool)  # at least one step after the push
         self.time_to_fall = torch.full((n,), torch.nan)
@@ -78,7 +79,8 @@ class Outcomes:
     def update(self, td: TensorDictBase) -> None:
         """Takes in what followed a control step."""
         self.time += self.control_dt
-        touched = (body_contact(td, td) | td["diverged"]).squeeze(-1)
+        self.diverged |= td["diverged"].squeeze(-1)
+        touched = body_contact(td, td).squeeze(-1) | self.diverged
         first = touched & ~self.fell
         self.fell |= touched
         since_push = self.time - self.battery.push_time
@@ -119,7 +121,7 @@ class Outcomes:
         columns = {
             "recovered": (self.upright & ~self.fell).numpy(),
             "fell": self.fell.numpy(),
-            "kneeled": (self.kneeling.kneeled & self.fell).numpy(),
+            "kneeled": (self.kneeling.kneeled & self.fell & ~self.diverged).numpy(),
             "time_to_fall_s": self.time_to_fall.numpy(),
             "peak_tilt": self.peak_tilt.numpy(),
             "peak_base_acceleration": self.peak_base_acceleration.numpy(),

@@ -3,6 +3,7 @@
 import base64
 import json
 import platform
+import shlex
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.resources import files
@@ -11,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 from jinja2 import Environment
+from omegaconf import OmegaConf
 
 PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 CAPTIONS = {
@@ -137,9 +139,7 @@ def _reproduction(folder: Path) -> Section:
     out = Section("To get this again")
     overrides = folder / ".hydra" / "overrides.yaml"
     if overrides.exists():
-        given = " ".join(
-            line.removeprefix("- ") for line in overrides.read_text().splitlines() if line != "[]"
-        )
+        given = shlex.join(map(str, OmegaConf.load(overrides)))
         out.notes.append(f".venv/bin/python -m recipes.train {given}")
     if (folder / "comparison.csv").exists():
         summaries = json.loads((folder / "summary.json").read_text())

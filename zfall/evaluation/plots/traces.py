@@ -1,7 +1,7 @@
 """What a joint did during a trial."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -11,7 +11,11 @@ from zfall.evaluation.plots.polar import LINES
 
 
 def trace_plot(
-    traces: Mapping[str, pd.DataFrame], path: Path, *, joint: str, push: tuple[float, float]
+    traces: Mapping[str, pd.DataFrame],
+    path: Path,
+    *,
+    joint: str,
+    pushes: Sequence[tuple[float, float]],
 ) -> None:
     """Target, position and torque of a joint over a trial, a line for each run.
 
@@ -22,13 +26,14 @@ def trace_plot(
             [N m] of the joint.
         path: file to write; its ending gives the format.
         joint: its name.
-        push: when it begins and ends [s]; twice the same if there is none.
+        pushes: when each begins and ends [s].
     """
     figure = Figure(figsize=(3.5, 3.8), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
     labels = {"target": "target [rad]", "position": "position [rad]", "torque": "torque [N m]"}
     for axes, (key, label) in zip(panels, labels.items(), strict=True):
-        axes.axvspan(*push, color="0.88", lw=0)
+        for push in pushes:
+            axes.axvspan(*push, color="0.88", lw=0)
         lines = zip(traces.items(), itertools.cycle(LINES), strict=False)
         for (name, rows), (style, grey) in lines:
             (line,) = axes.plot(
@@ -38,7 +43,7 @@ def trace_plot(
         axes.set_ylabel(label, fontsize=8)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
-    title = f"{joint}; the push is shaded" if push[1] > push[0] else f"{joint}; no push"
+    title = f"{joint}; what is shaded is pushed" if pushes else f"{joint}; no push"
     panels[0].set_title(title, fontsize=8, loc="left")
     panels[0].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
     panels[-1].set_xlabel("time [s]", fontsize=8)
