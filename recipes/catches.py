@@ -238,7 +238,7 @@ def main(cfg: DictConfig) -> None:
             f"before {before[1]}; after {after[1]}{'' if better else ', left as is'}",
             soft_wrap=True,
         )
-    console.print(f"wrote {path}")
+    console.print(f"wrote {path}", soft_wrap=True)
 
 
 if __name__ == "__main__":

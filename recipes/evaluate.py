@@ -95,10 +95,10 @@ def main(cfg: DictConfig) -> None:
         folder = output / "comparison" / setting_of(cfg)
         folder.mkdir(parents=True, exist_ok=True)
         write_comparison(battery, results, folder, console, robot=tested[0].robot)
-        console.print(f"wrote {write_report(folder)}")
+        console.print(f"wrote {write_report(folder)}", soft_wrap=True)
     for each in tested:
         if each.actor is not None and each.folder.parents[1] == Path(each.name):
-            console.print(f"wrote {write_report(Path(each.name))}")
+            console.print(f"wrote {write_report(Path(each.name))}", soft_wrap=True)
     remove_if_empty(output)  # the results lie in the run folder
 
 

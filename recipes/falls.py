@@ -107,7 +107,7 @@ def main(cfg: DictConfig) -> None:
     path = Path(HydraConfig.get().runtime.output_dir) / "falls.npz"
     np.savez_compressed(path, **{key: value.numpy() for key, value in arrays.items()})
     console.print(f"{int(fell[: len(trials)].sum())} of {len(trials)} trials fell")
-    console.print(f"wrote {path}: {len(table)} states")
+    console.print(f"wrote {path}: {len(table)} states", soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -226,7 +226,13 @@ class Learner:
                 out = self.loss(part)
                 some = self._some(part)
                 for auxiliary in self.auxiliary:
-                    out.update(auxiliary(some))
+                    written = auxiliary(some)
+                    if not any(key.startswith("loss_") for key in written.keys()):
+                        raise ValueError(
+                            f"{type(auxiliary).__name__} must write a loss under a name that "
+                            f"begins with loss_, wrote {', '.join(written.keys()) or 'nothing'}."
+                        )
+                    out.update(written)
                 total = sum(value for key, value in out.items() if key.startswith("loss_"))
                 total.backward()
                 norm = clip_grad_norm_(self.parameters, cfg.max_grad_norm)

@@ -17,6 +17,7 @@ def check_ranges(cfg: DictConfig) -> None:
         ValueError: on a number out of its range, or something else in its place.
     """
     check_whole(cfg, (*_COUNTS, "seed", "burn_in"))
+    check_number(cfg.seed, "seed", lambda x: x >= 0, "not be negative")
     for key in _COUNTS:
         check_number(cfg[key], key, lambda x: x >= 1, "be at least 1")
     check_number(

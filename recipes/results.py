@@ -87,7 +87,7 @@ def write_results(
             f"I90 mean {summary['i90_mean']:.3f}"
         )
     console.print(f"falls without a push {summary['control_falls']} of {summary['control_n']}")
-    console.print(f"wrote {folder}/{', '.join(written)}")
+    console.print(f"wrote {folder}/{', '.join(written)}", soft_wrap=True)
 
 
 def write_envelope(
@@ -115,7 +115,7 @@ def write_envelope(
         folder, "envelope", lambda p: envelope_plot(tables, p, title=title, lines=lines)
     )
     console.print(markdown(means.reset_index()), markup=False)
-    console.print(f"wrote {folder}/{', '.join(written)}")
+    console.print(f"wrote {folder}/{', '.join(written)}", soft_wrap=True)
 
 
 def write_comparison(
@@ -152,7 +152,7 @@ def write_comparison(
         console.print(table({short[name]: summary for name, summary in summaries.items()}))
     write_summary(folder, summaries)
     console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
-    console.print(f"wrote {folder}/{', '.join(written)}")
+    console.print(f"wrote {folder}/{', '.join(written)}", soft_wrap=True)
 
 
 def _is_figure(key: str, value: Any) -> bool:

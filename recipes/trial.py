@@ -44,7 +44,7 @@ def show_trial(
     for ending in ("png", "pdf"):
         path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
         trace_plot(traces, path, joint=joint, pushes=pushes)
-        console.print(f"wrote {path}")
+        console.print(f"wrote {path}", soft_wrap=True)
 
 
 def run_trial(
@@ -90,7 +90,7 @@ def run_trial(
         dt = env.base_env.control_dt
         try:
             film(env.base_env.simulation.model, shown, [label], np.stack(forces), path, dt=dt)
-            console.print(f"wrote {path}")
+            console.print(f"wrote {path}", soft_wrap=True)
         except RuntimeError as error:
             console.print(f"no video: {error}")
     acting = np.concatenate(forces).reshape(len(forces), -1).any(1).astype(int)

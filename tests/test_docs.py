@@ -4,6 +4,7 @@ import re
 import sys
 from inspect import isclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -92,11 +93,14 @@ def test_an_own_reward_term_is_worth_what_it_says(tmp_path, monkeypatch, compose
 
 def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_config):
     """The example of learning.md: with a large weight it keeps the actions small."""
-    (module,) = re.findall(
+    module, test = re.findall(
         r"```python\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL
     )
     (tmp_path / "my_losses.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
+    there: dict[str, Any] = {}
+    exec(test, there)  # its own test, which stands below it
+    there["test_size_is_the_mean_square_of_the_mean_action"]()
     sizes = []
     for coeff in (0.0, 10.0):
         loss = f"+auxiliary_losses.size={{_target_:my_losses.SmallActions,coeff:{coeff}}}"

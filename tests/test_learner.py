@@ -525,3 +525,21 @@ FAULTS = [
 def test_faults_are_refused_before_the_first_step(compose_config, overrides, message):
     with pytest.raises(ValueError, match=message):
         Learner(compose_config("num_envs=4", "rollout_steps=8", *overrides))
+
+
+class Misnamed(LossModule):
+    """A loss whose value nobody would add."""
+
+    def __init__(self, actor_network):
+        super().__init__()
+        self.in_keys = ["observation"]
+
+    def forward(self, tensordict):
+        return TensorDict({"size": tensordict["observation"].mean()})
+
+
+def test_a_loss_under_another_name_is_refused(compose_config):
+    own = "+auxiliary_losses.own={_target_: tests.test_learner.Misnamed}"
+    learner = Learner(compose_config(own, "num_envs=4", "rollout_steps=4"))
+    with pytest.raises(ValueError, match=r"Misnamed must write .*loss_, wrote size"):
+        learner.learn(learner.collect())

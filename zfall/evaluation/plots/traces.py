@@ -43,7 +43,7 @@ def trace_plot(
         axes.set_ylabel(label, fontsize=8)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
-    title = f"{joint}; what is shaded is pushed" if pushes else f"{joint}; no push"
+    title = f"{joint}; pushes are shaded" if pushes else f"{joint}; no push"
     panels[0].set_title(title, fontsize=8, loc="left")
     panels[0].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
     panels[-1].set_xlabel("time [s]", fontsize=8)
