@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 import onnxruntime
 
+if not 3 <= len(sys.argv) <= 4:
+    sys.exit(f"usage: {sys.argv[0]} policy.onnx policy.json [newtons of a push to the left, 20]")
 policy = onnxruntime.InferenceSession(sys.argv[1])
 about = json.loads(Path(sys.argv[2]).read_text())
 newtons = float(sys.argv[3]) if len(sys.argv) > 3 else 20.0

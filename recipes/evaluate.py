@@ -90,6 +90,8 @@ def main(cfg: DictConfig) -> None:
             folder = tested[0].folder if len(tested) == 1 else output
             show_trial(battery, tested, cfg, console, folder)
             return
+        for each in tested:
+            each.folder.mkdir(parents=True, exist_ok=True)
     results = {each.name: run_or_read(battery, each, cfg, console) for each in tested}
     if len(tested) > 1:
         folder = output / "comparison" / setting_of(cfg)

@@ -7,6 +7,7 @@
 
 import json
 import logging
+import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,7 @@ from rich.progress import Progress, TimeElapsedColumn
 from torchrl.envs import TransformedEnv
 
 from recipes.export_planar import OnnxPolicy, agreement, run_exported
-from recipes.one_line import check_keys, one_line_errors, start
+from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shown_path, start
 from recipes.tested import load_run
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationVector
@@ -43,9 +44,9 @@ UNITS = {
 @hydra.main(version_base=None, config_path=".", config_name="export")
 def main(cfg: DictConfig) -> None:
     """Writes ``policy.onnx`` and ``policy.json``."""
-    folder = Path(HydraConfig.get().runtime.output_dir)
+    output = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors():
-        check_keys(cfg, {"run", "checkpoint", "change", "env", "planar"})
+        check_keys(cfg, {"run", "checkpoint", "change", "planar"})
         starts = cfg.planar
         if starts is not None and (type(starts) is not int or starts < 1):
             raise ValueError(
@@ -56,9 +57,19 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(f"run must hold a policy, {cfg.run} is a baseline.")
         env, _, _ = battery_env(load_battery("planar"), env_cfg, 1)
         about = describe(env, actor, env_cfg)
-        export(actor, folder / "policy.onnx", size=about["observation_size"])
+        # One that ships has no folder.
+        folder = Path(cfg.run) / "export" if Path(cfg.run).is_dir() else output
+        folder.mkdir(exist_ok=True)
+        try:
+            export(actor, folder / "policy.onnx", size=about["observation_size"])
+        finally:
+            remove_if_empty(folder)
     (folder / "policy.json").write_text(json.dumps(about, indent=2))
-    print(f"wrote {folder}/policy.onnx, policy.json")
+    remove_if_empty(output)  # what was written lies in the run folder
+    place = shown_path(folder)
+    print(f"wrote {place}/policy.onnx, policy.json")
+    python = shown_path(Path(sys.executable))
+    print(f"to drive the robot: {python} docs/drive.py {place}/policy.onnx {place}/policy.json")
     if starts is not None:
         with one_line_errors():
             compare_planar(starts, env_cfg, actor, folder, about)

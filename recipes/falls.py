@@ -27,7 +27,6 @@ from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
 KEYS = {
     "run",
     "checkpoint",
-    "env",
     "change",
     "seed",
     "starts",

@@ -23,7 +23,7 @@ from zfall.evaluation.battery import BLOCK, play
 from zfall.evaluation.video import film
 from zfall.modules.actors import recurrent_keys
 
-KEYS = {"run", "checkpoint", "num_envs", "seconds", "seed", "keep", "video"}
+KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "video"}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -32,8 +32,12 @@ def main(cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors():
         check_keys(cfg, KEYS)
-        if cfg.run is None or cfg.run in BASELINES:
-            raise ValueError(f"run must be a run folder, got {cfg.run or 'none'}.")
+        if cfg.run is None:
+            raise ValueError(
+                f"run must be a run folder, a policy that ships or {' or '.join(BASELINES)}."
+            )
+        if cfg.run not in BASELINES and cfg.get("env") is not None:
+            raise ValueError(f"env must be given for baselines alone, {cfg.run} has its own.")
         check_lists(cfg, ["keep"])
         check_whole(cfg, ("num_envs", "seed"))
         check_number(cfg.num_envs, "num_envs", lambda x: x >= 1, "be at least 1")
@@ -41,19 +45,22 @@ def main(cfg: DictConfig) -> None:
         env_cfg, actor = load_run(cfg, cfg.run)
         env_cfg = keep(env_cfg, cfg.keep)
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
-        env = instantiate(env_cfg, base_env={"num_envs": worlds}, training=False)
+        world = {"num_envs": worlds, "servos": cfg.run != "limp"}
+        env = instantiate(env_cfg, base_env=world, training=False)
         if not cfg.seconds >= (step := env.base_env.control_dt):
             raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")
-    assert actor is not None
     gone = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
     console.print(f"of the env's transforms left out: {', '.join(gone) or 'nothing'}")
-    if recurrent_keys(actor):
+    if worlds != cfg.num_envs:
+        console.print(f"num_envs: {worlds}, for worlds are played by {BLOCK}")
+    if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     env.set_seed(cfg.seed)
     results, states, forces = walk(env, actor, cfg.seconds, console)
     output = Path(HydraConfig.get().runtime.output_dir)
     folder = Path(cfg.run) if Path(cfg.run).is_dir() else output  # one that ships has none
     (folder / "play.json").write_text(json.dumps(results, indent=2))
+    written = "play.json"
     for key, value in results.items():
         console.print(f"{key}: {value:.3g}")
     if cfg.video:
@@ -61,9 +68,10 @@ def main(cfg: DictConfig) -> None:
         rows, columns = {Path(cfg.run).name: states}, [f"world {i}" for i in range(states.shape[1])]
         try:
             film(base.simulation.model, rows, columns, forces, folder / "play.mp4", dt=frame(base))
+            written += ", play.mp4"
         except RuntimeError as error:
             console.print(f"no video: {error}")
-    console.print(f"wrote {shown_path(folder)}/play.json", soft_wrap=True)
+    console.print(f"wrote {shown_path(folder)}/{written}", soft_wrap=True)
     remove_if_empty(output)  # the results lie in the run folder
 
 

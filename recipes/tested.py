@@ -55,7 +55,6 @@ class Tested:
         if name in BASELINES or _shipped(name).exists():
             place = output / name if cfg.runs is not None else output
         folder = place / "evaluation" / setting
-        folder.mkdir(parents=True, exist_ok=True)
         return cls(name, keep(env_cfg, cfg.keep), actor, folder, weights_digest(actor))
 
     @property
@@ -227,7 +226,24 @@ def checkpoint_of(
             f"{key} must be a run folder, or one of {', '.join((*others, *ship))}; "
             f"there is no folder {run}."
         )
+    check_holds_run(Path(run), key)
     return Path(run) / "checkpoints" / f"{name}.pt"
+
+
+def check_holds_run(folder: Path, key: str) -> None:
+    """Refuses a folder that holds no checkpoint, naming the newest run below it.
+
+    Raises:
+        ValueError: if there is no such folder, or it is not that of a run.
+    """
+    if (folder / "checkpoints").is_dir():
+        return
+    if not folder.is_dir():
+        raise ValueError(f"{key} must be a run folder, there is no folder {folder}.")
+    below = [path for depth in ("*", "*/*") for path in folder.glob(f"{depth}/checkpoints")]
+    newest = max(below, key=lambda path: path.stat().st_mtime, default=folder).parent
+    hint = f"; the newest run in it is {newest}" if below else ""
+    raise ValueError(f"{key} must be a run folder, {folder} has no checkpoints{hint}.")
 
 
 def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:

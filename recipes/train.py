@@ -22,6 +22,7 @@ from recipes.metrics import batch_metrics
 from recipes.one_line import check_keys, one_line_errors, shell_line, shown_path, start
 from recipes.run_folder import RunFolder, check_version, removed_if_unused, write_config
 from recipes.showcase import show
+from recipes.tested import check_holds_run
 from recipes.warm_start import warm_start
 from zfall import checkpoint
 from zfall.envs.model import identity_of
@@ -52,6 +53,7 @@ def main(cfg: DictConfig) -> None:
         state = None
         if cfg.resume is not None:
             folder = Path(cfg.resume)
+            check_holds_run(folder, "resume")
             state = checkpoint.load(folder / "checkpoints" / "last.pt")
             check_version(state["run"], folder)
             cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)

@@ -74,7 +74,10 @@ def run_trial(
         only=[cfg.trial],
         watch=watch,
     ).to_dict("records")
-    console.print(f"trial {cfg.trial} of {battery.name}, {tested.name}")
+    tested.folder.mkdir(parents=True, exist_ok=True)
+    console.print(
+        f"trial {cfg.trial} of {battery.name}, {tested.name}: {told(row)}", soft_wrap=True
+    )
     for key, value in row.items():
         console.print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
     names = [f"{key}/{joint}" for key in ("target", "position", "torque") for joint in joints]
@@ -96,3 +99,16 @@ def run_trial(
     acting = np.concatenate(forces).reshape(len(forces), -1).any(1).astype(int)
     edges = np.flatnonzero(np.diff(acting, prepend=0, append=0)) * env.base_env.control_dt
     return row, rows, list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def told(row: dict[Hashable, Any]) -> str:
+    """A trial in one line: how it was pushed, and what came of it."""
+    outcome = next(
+        (name for name in ("recovered", "kneeled", "fell") if row.get(name)), "stands bent"
+    )
+    if row["impulse"] == 0:
+        return f"not pushed, {outcome}"
+    push = f"I = {row['impulse']:.2f}, {row['force_n']:.1f} N for {row['duration_s']:g} s"
+    if np.isfinite(row["direction_rad"]):
+        push += f" toward {np.degrees(row['direction_rad']):.0f} degrees (0 forward, 90 left)"
+    return f"{push} at {row['body']}, {outcome}"

@@ -55,7 +55,6 @@ def main(cfg: DictConfig) -> None:
         known = {
             "run",
             "checkpoint",
-            "env",
             "change",
             "keep",
             "seed",

@@ -1,5 +1,6 @@
 """What is said of how far a policy gets."""
 
+import json
 import math
 
 import pytest
@@ -51,6 +52,17 @@ def test_playing_a_run_writes_its_figures(tmp_path):
     assert "left out: delay, noise" in done.stdout
 
 
+def test_baselines_play_in_the_env_that_is_asked_for(tmp_path):
+    """Servos that hold stand for two seconds, without servos the robot falls."""
+    where = [f"hydra.run.dir={tmp_path}", "seconds=2.0", "video=false", "num_envs=2"]
+    for name, env, fell in (("pose_hold", "zeroth_fall", 0), ("limp", "push_recovery", 64)):
+        done = run("play", f"run={name}", f"env={env}", *where)
+        assert "num_envs: 64, for worlds are played by 64" in done.stdout
+        assert json.loads((tmp_path / "play.json").read_text())["fell"] == fell, done.stderr
+    done = run("play", "run=best", "env=zeroth_fall", *where)
+    assert "env must be given for baselines alone, best has its own." in done.stderr
+
+
 @pytest.mark.parametrize("kept", [[], ["push"]])
 def test_pushes_are_there_if_they_are_kept(compose_config, kept):
     often = ["env.transforms.push.interval=[0.0,0.1]", "num_envs=64"]
@@ -68,10 +80,9 @@ def test_a_policy_that_ships_leaves_its_figures_in_hydras_folder(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["video=false"], "error: run must be a run folder, got none."),
+        (["video=false"], "error: run must be a run folder, a policy that ships or pose_hold"),
         (["run=nowhere"], "there is no folder nowhere"),
         (["run=nowhere", "+second=3"], "second is not a key of the config"),
-        (["run=limp"], "error: run must be a run folder, got limp."),
     ],
 )
 def test_bad_input_is_refused_in_one_line(given, message):

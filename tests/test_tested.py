@@ -1,6 +1,7 @@
 """Which policies and baselines are tested, and in which world."""
 
 import json
+import os
 
 import pandas as pd
 import pytest
@@ -34,7 +35,28 @@ def test_checkpoint_of_another_robot_is_refused(trained, tmp_path):
 def test_run_without_a_checkpoint_is_refused(tmp_path):
     done = run("evaluate", f"run={tmp_path}")
     assert done.returncode != 0
-    assert "there is no such file" in done.stderr
+    assert f"run must be a run folder, {tmp_path} has no checkpoints." in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_newest_run_in_a_folder_of_runs_is_named(tmp_path):
+    for name, time in (("a/older", 2), ("b/newest", 3), ("c", 1)):
+        (tmp_path / name / "checkpoints").mkdir(parents=True)
+        os.utime(tmp_path / name / "checkpoints", (time, time))
+    for recipe, key in (("evaluate", "run"), ("train", "resume")):
+        done = run(recipe, f"{key}={tmp_path}", f"hydra.run.dir={tmp_path}/out")
+        assert f"{key} must be a run folder, {tmp_path} has no checkpoints;" in done.stderr
+        assert done.stderr.endswith(f"the newest run in it is {tmp_path}/b/newest.\n")
+
+
+def test_a_refused_evaluation_leaves_nothing(trained, tmp_path):
+    before = sorted(trained.rglob("*"))
+    done = run("evaluate", f"runs=[{trained},nowhere]", f"hydra.run.dir={tmp_path}/out")
+    assert "there is no folder nowhere" in done.stderr
+    done = run("evaluate", f"run={trained}", *SMALL, "trial=0", "joint=nose")
+    assert "joint must be one of" in done.stderr
+    assert sorted(trained.rglob("*")) == before
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_evaluation_keeps_on_what_it_is_told_to(compose_config):

@@ -100,7 +100,7 @@ BAD = [
         ["experiment=atalante_standing_laptop", "actor=gru_gaussian"],
         "actor: make_head() takes no num_cells; if the config gives it, '~actor.num_cells' takes",
     ),
-    (["resume=nowhere"], "there is no such file"),
+    (["resume=nowhere"], "resume must be a run folder, there is no folder nowhere"),
     (["hydra.run.dir=/proc/zfall"], "/proc/zfall"),
 ]
 
