@@ -23,7 +23,6 @@ from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
 from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
-from zfall.evaluation.definitions import load_battery
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
@@ -42,8 +41,6 @@ class Learner:
 
     def __init__(self, cfg: DictConfig):
         check_ranges(cfg)
-        if cfg.showcase:  # refused now rather than after the training
-            load_battery("planar", impulses=cfg.showcase.sizes, starts=cfg.showcase.starts)
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)

@@ -1,5 +1,6 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
+import logging
 import os
 import re
 import sys
@@ -15,11 +16,14 @@ from omegaconf.errors import OmegaConfBaseException
 
 # Of another actor's key that was left over, for instance.
 _UNEXPECTED = re.compile(r"(.*) got an unexpected keyword argument '(\w+)'.*")
+_CALLED = re.compile(r"(\w+)\(\) missing .* arguments?: 'td'.*")  # a term, when the table is read
+_NOT_LOADED = re.compile(r"Error loading '(\S+)': \w+\([\"'](.*)[\"']\).*")
 
 
 def start(main: Callable[[], None]) -> None:
     """Runs a recipe's main from the shell, hydra's own errors included."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # else hydra prints errors its own way, on many lines
+    logging.getLogger("hydra.utils").setLevel(logging.CRITICAL)  # it also logs what it raises
     with one_line_errors():
         try:
             main()
@@ -97,10 +101,17 @@ def _innermost(error: BaseException) -> str:
         reason = (
             f"{function} takes no {key}; if the config gives it, '~{place}.{key}' takes it out."
         )
+    elif called := _CALLED.fullmatch(reason):
+        reason = f"{called[1]} is called in every step: beside its _target_ say _partial_: true."
+    elif absent := _NOT_LOADED.fullmatch(reason):
+        reason = (
+            f"_target_ must name something that Python can import, got {absent[1]}: {absent[2]}."
+        )
     return f"{place}: {reason}" if place else reason
 
 
 def _flat(text: str) -> str:
     flat = " ".join(text.split())
+    flat = flat.partition(" Config search path: ")[0]
     # Hydra's advice, which makes a new key of one that is misspelt.
     return flat.replace("To append to your config use +", "Unless it is misspelt, write +")

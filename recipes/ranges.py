@@ -7,6 +7,8 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig
 from torch import Tensor
 
+from recipes.one_line import check_keys
+
 _COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 
 
@@ -31,6 +33,23 @@ def check_ranges(cfg: DictConfig) -> None:
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
     _check_loss(cfg.loss)
+    if cfg.showcase is not None:  # said now, not at the end of the training
+        _check_showcase(cfg.showcase)
+
+
+def _check_showcase(showcase: Any) -> None:
+    if not isinstance(showcase, DictConfig):
+        raise ValueError(
+            f"showcase must be a table of sizes, starts and video, or null, got {showcase}."
+        )
+    check_keys(showcase, {"sizes", "starts", "video"}, "showcase.")
+    rule = "be a whole number, at least 1"
+    check_number(showcase.starts, "showcase.starts", lambda x: x >= 1 and x % 1 == 0, rule)
+    sizes = showcase.sizes
+    if not isinstance(sizes, ListConfig) or not sizes:
+        raise ValueError(f"showcase.sizes must be a list of at least one size, got {sizes}.")
+    for size in sizes:
+        check_number(size, "showcase.sizes", lambda x: 0 < x < math.inf, "hold positive sizes")
 
 
 def _check_loss(loss: DictConfig) -> None:

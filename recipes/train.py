@@ -49,7 +49,6 @@ def main(cfg: DictConfig) -> None:
         if not (isinstance(frames, (int, float)) and 0 < frames < math.inf):
             raise ValueError(f"total_frames must be a positive number, got {frames}.")
         check_keys(cfg.loss, LOSS_KEYS, "loss.")
-        check_keys(cfg.showcase or OmegaConf.create({}), {"sizes", "starts", "video"}, "showcase.")
         state = None
         if cfg.resume is not None:
             folder = Path(cfg.resume)

@@ -1,6 +1,7 @@
 """What the pages show works as shown."""
 
 import re
+import shlex
 import sys
 from inspect import isclass
 from pathlib import Path
@@ -44,7 +45,7 @@ def test_the_page_shows_every_transform():
 
 
 def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
-    module, test, _ = BLOCKS
+    module, test, *_ = BLOCKS
     (tmp_path / "wind.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     space: dict = {}
@@ -54,7 +55,7 @@ def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
 
 
 def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_config):
-    module, _, _ = BLOCKS
+    module, *_ = BLOCKS
     (tmp_path / "wind.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     wind = "+env.transforms.wind={_target_:wind.SteadyWind,point:torso,force:2.0}"
@@ -70,9 +71,24 @@ def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_
     sys.modules.pop("wind")
 
 
+def test_the_example_of_an_own_observation_is_seen(tmp_path, monkeypatch, compose_config):
+    """Its own test passes; by the line of the shell the critic's vector ends with it."""
+    (tmp_path / "stance.py").write_text(BLOCKS[2])
+    monkeypatch.syspath_prepend(tmp_path)
+    space: dict = {}
+    exec(BLOCKS[3], space)
+    space["test_width_is_the_distance_of_the_soles"]()
+    given = next(re.finditer(r"make train ARGS=\"(.*stance.StanceWidth.*)\"", PAGE))[1]
+    env = instantiate(compose_config("num_envs=4", *shlex.split(given)).env)
+    for td in (env.reset(), env.rollout(3)["next"][:, -1]):
+        assert td["observation_critic"].shape == (4, 3 + 3 + 20 + 20 + 1)
+        assert_close(td["observation_critic"][:, -1:], td["stance_width"], rtol=0, atol=0)
+    sys.modules.pop("stance")
+
+
 def test_an_own_reward_term_is_worth_what_it_says(tmp_path, monkeypatch, compose_config):
     """Shoulders rolled by 0.3 rad, at a sigma of 0.3 rad and a weight of 0.05: 0.05 / e."""
-    (tmp_path / "my_terms.py").write_text(BLOCKS[2])
+    (tmp_path / "my_terms.py").write_text(BLOCKS[-1])
     monkeypatch.syspath_prepend(tmp_path)
     (line,) = re.findall(r"'(\+env.transforms.reward.terms.*?)'", PAGE)
     env = instantiate(compose_config(line, "num_envs=2").env, training=False)

@@ -177,3 +177,17 @@ def test_sensing_after_an_estimator_that_should_see_it_is_refused(make_base, rea
     with pytest.raises(ValueError, match=f"noise must come before reader, which reads {noisy}"):
         make_env(make_base(), table(reader=of(reader, **values), noise=noise))
     make_env(make_base(), table(noise=noise, reader=of(reader, **values)))
+
+
+def test_a_key_that_is_written_but_not_declared_is_refused(make_base):
+    class Undeclared(Transform):
+        def __init__(self) -> None:
+            super().__init__(in_keys=["joint_position"], out_keys=["first_joint"])
+
+        def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+            return next_tensordict.set("first_joint", next_tensordict["joint_position"][:, :1])
+
+    base = make_base()
+    table = {"action": JointPositionTarget(base, scale=0.6), "first": Undeclared()}
+    with pytest.raises(ValueError, match=r"^transforms.first must declare the key 'first_joint'"):
+        make_env(base, table)

@@ -41,7 +41,8 @@ def make_env(
 
     Raises:
         ValueError: if ``training_only`` or ``before`` names a transform that is not in the table,
-            or something is measured after the observation that should hold it.
+            something is measured after the observation that should hold it, or a transform writes
+            a key that it does not declare.
     """
     training_only = left_out(training_only)
     unknown = [name for name in training_only if name not in transforms]
@@ -62,7 +63,9 @@ def make_env(
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     if "substeps" in env.observation_spec.keys():
         after.append(_DropSubsteps())
-    return HumanoidTask(env, _Table(*reversed(before), *after))
+    task = HumanoidTask(env, _Table(*reversed(before), *after))
+    _check_declared(task, built)
+    return task
 
 
 class _Table(Compose):
@@ -144,7 +147,14 @@ def _in_place(
     """The table in the order that its ``before`` ask for, without them."""
     table = dict(transforms.items())
     for name, transform in transforms.items():
-        if isinstance(transform, Transform) or "before" not in transform:
+        if isinstance(transform, Transform):
+            continue
+        if not isinstance(transform, Mapping) or "_target_" not in transform:
+            raise ValueError(
+                f"transforms.{name} must be a table with a _target_, or null, got {transform}; its "
+                f"values are transforms.{name}.KEY."
+            )
+        if "before" not in transform:
             continue
         place = transform["before"]
         if place not in table or place == name:
@@ -180,6 +190,21 @@ def _check_measured(built: Mapping[str, Transform]) -> None:
                 )
         reads = getattr(transform, "measured", ())  # keys, or true: all that it reads
         read |= dict.fromkeys(transform.in_keys if reads is True else reads or (), name)
+
+
+def _check_declared(task: TransformedEnv, built: Mapping[str, Transform]) -> None:
+    """Refuses transforms that write what no spec holds, which TorchRL does without naming them."""
+    try:
+        task.output_spec  # noqa: B018 (works the specs out)
+    except KeyError as error:
+        for name, transform in built.items():
+            for key in transform.out_keys or []:
+                if f"{key!r} is unaccounted for" in str(error):
+                    raise ValueError(
+                        f"transforms.{name} must declare the key {key!r} it writes: "
+                        "transform_observation_spec has to add it to the spec it is given."
+                    ) from None
+        raise
 
 
 def left_out(training_only: Mapping[str, bool] | Collection[str]) -> list[str]:

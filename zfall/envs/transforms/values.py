@@ -41,5 +41,6 @@ def two_numbers(name: str, value: Any) -> tuple[float, float]:
     """The two numbers that ``value`` holds; raises ``ValueError`` on anything else."""
     numbers = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
     if len(numbers) != 2 or not all(isinstance(x, Real) and math.isfinite(x) for x in numbers):
-        raise ValueError(f"{name} must be two finite numbers, got {value}.")
+        hint = f"; [{value}, {value}] for always the same" if isinstance(value, Real) else ""
+        raise ValueError(f"{name} must be two finite numbers, got {value}{hint}.")
     return numbers[0], numbers[1]

@@ -107,10 +107,8 @@ def test_bad_value_is_refused_by_name_and_rule(make_base, values, message):
 
 def test_unknown_key_is_refused_with_a_list(make_task):
     action = (JointPositionTarget, {"scale": 1.0})
-    env = make_task(
-        {"action": action, "noise": (ObservationNoise, {"std": {"joint_positon": 1.0}})}
-    )
+    table = {"action": action, "noise": (ObservationNoise, {"std": {"joint_positon": 1.0}})}
     with pytest.raises(
         ValueError, match=r"std must name .*\(.*joint_position.*\), got joint_positon"
     ):
-        _ = env.observation_spec
+        make_task(table)
