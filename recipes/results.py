@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from omegaconf import OmegaConf
 from rich.console import Console
 
 from recipes.showcase import table
@@ -203,11 +204,23 @@ def _table(folder: Path, name: str, rows: pd.DataFrame) -> list[str]:
 
 
 def labels(names: list[str]) -> list[str]:
-    """The last folder of each name, or the whole of it if two have the same."""
-    last = [Path(name).name for name in names]
+    """The last folder of each name, or the whole of it if two have the same.
+
+    Jobs of a sweep, whose folders have numbers, by what was given to them and not to all: seed=1.
+    """
+    given = {name: _given_to(Path(name)) for name in names if Path(name).name.isdigit()}
+    common = set.intersection(*map(set, given.values())) if given else set()
+    own = {name: ", ".join(o for o in those if o not in common) for name, those in given.items()}
+    last = [own.get(name) or Path(name).name for name in names]
     return [
         short if last.count(short) == 1 else name for short, name in zip(last, names, strict=True)
     ]
+
+
+def _given_to(folder: Path) -> list[str]:
+    """What the shell gave to a run."""
+    path = folder / ".hydra" / "overrides.yaml"
+    return list(OmegaConf.load(path)) if path.exists() else []
 
 
 def markdown(rows: pd.DataFrame) -> str:
