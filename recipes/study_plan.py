@@ -15,10 +15,8 @@ from zfall import checkpoint
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.metrics import MEASURES
 
-STUDY = {
-    *("name", "base", "rows", "seeds", "row_seeds", "total_frames", "battery", "training_size"),
-    *("tests", "beside"),
-}
+NEEDED = ("name", "base", "rows", "seeds", "total_frames", "battery")
+STUDY = {*NEEDED, "row_seeds", "training_size", "tests", "beside"}
 SCRIPT = "script"  # in the place of a policy that kneels
 
 
@@ -67,9 +65,12 @@ def plan(study: DictConfig) -> list[Run]:
     """All runs of a study; every config is composed now, so that a bad one fails before any runs.
 
     Raises:
-        ValueError: if two rows, seeds or tests are the same, something is said of a row that is
-            not there, or a test cannot tell what the table shows.
+        ValueError: if a key is missing, two rows, seeds or tests are the same, something is said of
+            a row that is not there, or a test cannot tell what the table shows.
     """
+    missing = [key for key in NEEDED if OmegaConf.select(study, key) is None]
+    if missing:
+        raise ValueError(f"study.{missing[0]} is missing: a study has {', '.join(NEEDED)}.")
     battery = battery_of(study)
     size = OmegaConf.select(study, "training_size")
     size = size if size is None else f"{float(size):g}"

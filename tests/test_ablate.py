@@ -194,6 +194,7 @@ def test_what_no_policy_can_stand_beside_is_refused(beside):
     ("change", "message"),
     [
         ({"training_size": "0.45"}, "study.training_size must be one of 0.1, 0.4, got 0.45"),
+        ({"name": None}, "study.name is missing: a study has name, base, rows, seeds"),
         ({"seeds": [0, 0]}, r"none \(seed 0\) and none \(seed 0\) are the same"),
         (
             {"tests": {"a": None, "b": None}},
