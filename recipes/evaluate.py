@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import shlex
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from recipes.one_line import check_keys, one_line_errors, remove_if_empty, start
+from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shell_line, start
 from recipes.ranges import check_lists, check_number, check_whole
 from recipes.results import write_comparison, write_envelope, write_results
 from recipes.tested import BASELINES, SCRIPTED, Tested, held, load_run, read_trials, write_trials
@@ -97,7 +98,8 @@ def main(cfg: DictConfig) -> None:
         folder = output / "comparison" / setting_of(cfg)
         folder.mkdir(parents=True, exist_ok=True)
         write_comparison(battery, results, folder, console, robot=tested[0].robot)
-        console.print(f"wrote {write_report(folder)}", soft_wrap=True)
+        command = shell_line("evaluate", *map(shlex.quote, HydraConfig.get().overrides.task))
+        console.print(f"wrote {write_report(folder, command)}", soft_wrap=True)
     for each in tested:
         if each.actor is not None and each.folder.parents[1] == Path(each.name):
             console.print(f"wrote {write_report(Path(each.name))}", soft_wrap=True)

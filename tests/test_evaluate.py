@@ -1,6 +1,8 @@
 """Batteries from the shell: their files, what is kept and what is refused."""
 
+import html
 import json
+import shlex
 
 import pandas as pd
 import pytest
@@ -80,6 +82,9 @@ def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
     assert table.loc["limp", "control_falls"] == 2
     assert (folder / "overlay.png").exists()
     assert (folder / "overlay.pdf").exists()
+    page = html.unescape((folder / "report.html").read_text())
+    assert f"-m recipes.evaluate 'runs=[{trained},pose_hold,limp]' starts=1" in page
+    assert f"{' '.join(map(shlex.quote, SMALL))} num_envs=64" in page
     again = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)
     assert again.stdout.count("read from") == 3
     assert pd.read_csv(folder / "comparison.csv").set_index("run").equals(table)
@@ -135,6 +140,7 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
         (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
         (["run=best", "starts=abc"], "error: starts must be a whole number, got abc."),
         (["run=best", "impulses=0.4"], "error: impulses must be a list of numbers"),
+        (["run=best", "battery=spherical", "resolution=0.1"], "error: resolution must be null"),
     ],
 )
 def test_values_that_make_no_sense_are_refused_in_one_line(given, message):

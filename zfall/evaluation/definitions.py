@@ -130,6 +130,8 @@ def load_battery(name: str, **options: Any) -> Battery:
         raise ValueError(
             f"resolution must lie between 0 and the largest of impulses, got {resolution}."
         )
+    if resolution is not None and (numbers["interval"] is not None or numbers["forces"]):
+        raise ValueError(f"resolution must be null: the pushes of {name} are given or random.")
     for key in ("mass_factor", "load"):
         numbers[key] = None if numbers[key] is None else tuple(numbers[key])
     for key in ("directions", "starts"):

@@ -42,8 +42,12 @@ class Section:
     listings: list[dict[str, str]] = field(default_factory=list)
 
 
-def write_report(folder: Path) -> Path:
+def write_report(folder: Path, command: str = "") -> Path:
     """Writes ``report.html`` of a run folder, or of the folder of a comparison, from its files.
+
+    Args:
+        folder: which.
+        command: what a comparison was asked for with.
 
     Returns:
         The page, which holds everything it shows.
@@ -57,7 +61,7 @@ def write_report(folder: Path) -> Path:
     if film.exists():
         text = "Above the policy, below the held pose; the arrow is the force."
         sections.append(Section("Film", notes=[text], video=_encoded(film)))
-    sections.append(_reproduction(folder))
+    sections.append(_reproduction(folder, command))
     frames = f"{platform.python_implementation()} {platform.python_version()}"
     versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
     template = files("zfall.evaluation").joinpath("report.html.j2").read_text()
@@ -135,18 +139,15 @@ def _comparison(folder: Path) -> Section:
     return Section("Comparison", notes=[note], tables=tables, figures=figures)
 
 
-def _reproduction(folder: Path) -> Section:
+def _reproduction(folder: Path, command: str) -> Section:
     out = Section("To get this again")
     overrides = folder / ".hydra" / "overrides.yaml"
     if overrides.exists():
         given = shlex.join(map(str, OmegaConf.load(overrides)))
         out.notes.append(f".venv/bin/python -m recipes.train {given}")
     if (folder / "comparison.csv").exists():
+        out.notes += [command] if command else []
         summaries = json.loads((folder / "summary.json").read_text())
-        out.notes.append(
-            f".venv/bin/python -m recipes.evaluate 'runs=[{','.join(summaries)}]' battery="
-            f"{next(iter(summaries.values()))['battery']}"
-        )
         given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)
         out.listings.append({"title": "definition of the battery", "body": given})
     for name in ("config.yaml", "overrides.yaml"):
