@@ -61,6 +61,13 @@ class Learner:
         self.augmentation = None
         if cfg.augmentation:
             self.augmentation = self._build(cfg.augmentation, [self.actor, self.critic])
+        for name, loss in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
+            key = getattr(loss, "neighbour_key", None)
+            if self.augmentation is not None and key not in (None, "observation_neighbour"):
+                raise ValueError(
+                    f"auxiliary_losses.{name}.neighbour_key must be observation_neighbour for the "
+                    f"augmentation to mirror it, got {key}."
+                )
         # What has a memory runs along with the actor.
         beside = [self.critic] if recurrent_keys(self.critic) else []
         followed = [*self.auxiliary, self.augmentation]
@@ -109,10 +116,14 @@ class Learner:
                 )
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
-        if self.scheduler and "kl" not in inspect.signature(self.scheduler.step).parameters:
+        if self.scheduler and not (
+            "kl" in inspect.signature(self.scheduler.step).parameters
+            and hasattr(self.scheduler, "load_state_dict")
+        ):
             raise ValueError(
                 "scheduler must follow the KL divergence, torchrl.objectives.KLAdaptiveLR or one "
-                f"with step(kl), or be null; got {cfg.scheduler._target_}."
+                "with step(kl), state_dict and load_state_dict, or be null; "
+                f"got {cfg.scheduler._target_}."
             )
         inputs = ["observation", "observation_critic", "is_init", *hidden]
         self._learned = [*inputs, "action", "action_log_prob"]
@@ -267,6 +278,19 @@ class Learner:
             some["deterministic_action"] = distribution.deterministic_sample[: len(some)]
         return some
 
+    def _buffers(self) -> dict[str, torch.Tensor]:
+        """What losses beside PPO's and the augmentation remember, by place."""
+        modules = {"augmentation": self.augmentation}
+        modules |= dict(zip(self.cfg.auxiliary_losses, self.auxiliary, strict=True))
+        networks = {id(b) for net in (self.actor, self.critic) for b in net.buffers()}
+        return {
+            f"{place}.{name}": buffer
+            for place, module in modules.items()
+            if isinstance(module, torch.nn.Module)
+            for name, buffer in module.named_buffers()
+            if id(buffer) not in networks
+        }
+
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""
         return {
@@ -278,6 +302,8 @@ class Learner:
             "critic": self.critic.state_dict(),
             "teachers": self._teachers,
             "optimizer": self.optimizer.state_dict(),
+            "scheduler": self.scheduler.state_dict() if self.scheduler else {},
+            "buffers": {key: value.clone() for key, value in self._buffers().items()},
             "kl_coeff": self.loss.kl_coeff.item(),
             "env": self.env.base_env.state_dict(),
             "transforms": self.env.transform.state_dict(),
@@ -304,6 +330,10 @@ class Learner:
         self._average.n_averaged.fill_(state["averaged"])
         self.critic.load_state_dict(state["critic"])
         self.optimizer.load_state_dict(state["optimizer"])
+        if self.scheduler:
+            self.scheduler.load_state_dict(state["scheduler"])
+        for key, value in self._buffers().items():
+            value.copy_(state["buffers"][key])
         self.loss.kl_coeff.fill_(state["kl_coeff"])
         self.env.base_env.load_state_dict(state["env"])
         self.env.transform.load_state_dict(state["transforms"])

@@ -32,6 +32,12 @@ def check_ranges(cfg: DictConfig) -> None:
         raise ValueError("optimizer must name one, {_target_: torch.optim.Adam, ...}, got None.")
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
+        low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))
+        if None not in (low, high) and not low <= cfg.optimizer.lr <= high:
+            raise ValueError(
+                f"optimizer.lr must lie within scheduler.min_lr {low} and scheduler.max_lr {high}, "
+                f"which would replace it, got {cfg.optimizer.lr}; scheduler=null keeps it fixed."
+            )
     _check_loss(cfg.loss)
     if cfg.showcase is not None:  # said now, not at the end of the training
         _check_showcase(cfg.showcase)

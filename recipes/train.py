@@ -55,7 +55,7 @@ def main(cfg: DictConfig) -> None:
             check_holds_run(folder, "resume")
             state = checkpoint.load(folder / "checkpoints" / "last.pt")
             check_version(state["run"], folder)
-            cfg = resumed_config(state["config"], HydraConfig.get().overrides.task, folder)
+            cfg = resumed_config(state["config"], cfg, HydraConfig.get().overrides.task, folder)
         elif (folder / "metrics.csv").exists():
             resumable = (folder / "checkpoints" / "last.pt").exists()
             repair = f"resume={shown_path(folder)} goes on with it" if resumable else "remove it"
@@ -119,8 +119,10 @@ def try_one_step(env_cfg: DictConfig) -> None:
     instantiate(env_cfg, base_env={"num_envs": 2}).rollout(1)
 
 
-def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictConfig:
-    """The config of a run, with the values that were given to resume it.
+def resumed_config(
+    stored: str, given: DictConfig, overrides: Sequence[str], folder: Path
+) -> DictConfig:
+    """The config of a run, with those of the ``given`` values that the shell overrides.
 
     Raises:
         ValueError: on a value that cannot change in the middle of a run.
@@ -133,9 +135,10 @@ def resumed_config(stored: str, overrides: Sequence[str], folder: Path) -> DictC
                 f"{key} must not be given with resume, it is that of {folder}; "
                 f"only {', '.join(free)} may change."
             )
-    given = [item for item in overrides if not item.startswith("resume=")]
     cfg = DictConfig(OmegaConf.create(stored))
-    cfg.merge_with_dotlist(given)
+    for key in (override.partition("=")[0] for override in overrides):
+        if key != "resume":
+            OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
     return cfg
 
 
@@ -169,7 +172,7 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
             if not console.is_terminal and learner.updates % 10 == 0:
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
                 console.print(f"{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
-            if stop.is_set():
+            if stop.is_set() and learner.updates < total:
                 run.save(learner, "last")
                 return False
     return True

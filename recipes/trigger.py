@@ -19,8 +19,9 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from recipes.one_line import check_keys, one_line_errors, start
+from recipes.ranges import check_lists, check_number, check_whole
 from recipes.results import markdown
-from recipes.tested import keep, load_run
+from recipes.tested import held, keep, load_run
 from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.modes import KNEEL, ModeRule, in_danger, modes_over
@@ -63,16 +64,26 @@ def main(cfg: DictConfig) -> None:
             "epochs",
         }
         check_keys(cfg, known | {"hidden_size", "impulses"})
+        check_lists(cfg, ("measured", "impulses", "keep", "change"))
+        check_whole(cfg, ("seed", "epochs", "hidden_size"))
+        for key in ("epochs", "hidden_size"):
+            check_number(cfg[key], key, lambda x: x >= 1, "be at least 1")
         env_cfg, actor = load_run(cfg, cfg.run)
         there = OmegaConf.select(env_cfg, "training_only", default={})
         kept = [name for name in ("noise", "delay") if name in there]
-        env_cfg = keep(env_cfg, kept if cfg.keep is None else cfg.keep)
-    torch.manual_seed(cfg.seed)
-    with console.status("pushed trials"):
-        history, control_dt = record(env_cfg, actor, cfg)
-    train, held, test = split(history, torch.randperm(len(history.fell)))
+        env_cfg = keep(without_trigger(env_cfg), kept if cfg.keep is None else cfg.keep)
+        torch.manual_seed(cfg.seed)
+        with console.status("pushed trials"):
+            history, control_dt = record(env_cfg, actor, cfg)
+        train, held, test = split(history, torch.randperm(len(history.fell)))
+        for part in (train, held, test):
+            if part.fell.all() or not part.fell.any():
+                raise ValueError(
+                    "impulses and starts must give trials that fall and that do not, in each of "
+                    f"three parts; of {len(part.fell)} {int(part.fell.sum())} fell."
+                )
     console.print(f"{len(history.fell)} trials, {int(history.fell.sum())} of them falls")
-    network = fit(train, cfg, console)
+    network = fit(train, cfg, control_dt, console)
     calibrate(network, held)
     save_fall_network(network, folder / "fall_network.pt")
     probability, truth = probabilities(network, test), labels(test)
@@ -94,6 +105,19 @@ def main(cfg: DictConfig) -> None:
         trigger_plot(rows, folder / f"trigger.{ending}")
     console.print(markdown(rows), markup=False, soft_wrap=True)
     console.print(f"wrote {folder}/fall_network.pt, trigger.csv, trigger.md, reliability, trigger")
+
+
+def without_trigger(env_cfg: DictConfig) -> DictConfig:
+    """The env's config, in which a policy with modes recovers all the time.
+
+    Its kneels would count as falls, and the network would learn to give up when it does.
+    """
+    if OmegaConf.select(env_cfg, "transforms.mode") is None:
+        return env_cfg
+    new = held(env_cfg.copy())
+    OmegaConf.update(new, "transforms.mode.hold", 1000.0, force_add=True)
+    OmegaConf.update(new, "transforms.mode.initial", "recover", force_add=True)
+    return new
 
 
 def split(history: History, order: Tensor) -> list[History]:
@@ -129,7 +153,10 @@ def record(
     steps: list[list[Tensor]] = []
     live = torch.ones(base.num_envs, dtype=torch.bool)
     for td in play(env, actor, round(battery.end_time / base.control_dt)):
-        live = live & ~body_contact(td, td).squeeze(-1)
+        live = live & ~(body_contact(td, td) | td["diverged"]).squeeze(-1)
+        missing = [str(key) for key in cfg.measured if td.get(key, None) is None]
+        if missing:
+            raise ValueError(f"measured must name keys of the env, got {missing[0]}.")
         measured = torch.cat([read_measured(td, key).flatten(1) for key in cfg.measured], -1)
         rate = td["base_angular_velocity"].norm(dim=-1)
         steps.append([measured, tilt(td["base_orientation"]), rate, live])
@@ -145,9 +172,10 @@ def labels(history: History) -> Tensor:
     return (history.fell[:, None] & history.pushed).float()
 
 
-def fit(history: History, cfg: DictConfig, console: Console) -> FallNetwork:
+def fit(history: History, cfg: DictConfig, control_dt: float, console: Console) -> FallNetwork:
     """Trains on all steps before the first touch."""
     network = FallNetwork(history.measured.shape[-1], cfg.hidden_size)
+    network.trained_with = {"keys": OmegaConf.to_container(cfg.measured), "control_dt": control_dt}
     network.normalizer.update(history.measured[history.live])
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
     truth = labels(history)
@@ -167,10 +195,15 @@ def fit(history: History, cfg: DictConfig, console: Console) -> FallNetwork:
 
 
 def calibrate(network: FallNetwork, history: History) -> None:
-    """Fits slope and offset of the logits on trials that were not learned from (Platt 1999)."""
+    """Fits slope and offset of the logits on trials that were not learned from.
+
+    Its targets fall short of 0 and 1, as much as so few could tell (Platt 1999, eq. 1).
+    """
     with torch.no_grad():
         logits = network.logits(history.measured)[0][history.live]
     truth = labels(history)[history.live]
+    ones = truth.sum()
+    truth = torch.where(truth > 0, (ones + 1) / (ones + 2), 1 / (len(truth) - ones + 2))
     scale = torch.tensor([1.0, 0.0], requires_grad=True)
     optimizer = torch.optim.LBFGS([scale], max_iter=100, line_search_fn="strong_wolfe")
 

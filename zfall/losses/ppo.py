@@ -81,6 +81,7 @@ class PenalizedPPOLoss(ClipPPOLoss):
                 raise ValueError(f"{name} must be positive or null, got {bound}.")
         self.kl_target, self.value_error_clip = kl_target, value_error_clip
         self.register_buffer("kl_coeff", torch.tensor(float(kl_coeff)))
+        self._kl_bounds = (1e-6 * kl_coeff, 1e6 * kl_coeff)
         self.penalized = kl_coeff > 0
         self.out_keys = [*self.out_keys, "kl"]
         if self.penalized:
@@ -113,6 +114,8 @@ class PenalizedPPOLoss(ClipPPOLoss):
             self.kl_coeff.mul_(1.5)
         elif divergence < self.kl_target / 2:
             self.kl_coeff.mul_(0.5)
+        # Bounds from which it comes back: halved for long enough it would be 0 for good.
+        self.kl_coeff.clamp_(*self._kl_bounds)
 
     def loss_critic(
         self, tensordict: TensorDictBase

@@ -1,5 +1,6 @@
 """Critics: the value of a state, from what the simulator knows."""
 
+import math
 from collections.abc import Sequence
 
 from tensordict.nn import TensorDictSequential
@@ -24,6 +25,8 @@ class ValueHead(nn.Linear):
 
     def __init__(self, size: int, scale: float):
         super().__init__(size, 1)
+        if not 0 < scale < math.inf:
+            raise ValueError(f"scale must be positive and finite, got {scale}.")
         self.scale = scale
 
     def forward(self, features: Tensor) -> Tensor:

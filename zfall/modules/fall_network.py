@@ -1,12 +1,16 @@
 """A small recurrent network that says how likely a fall is."""
 
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from zfall import checkpoint
 from zfall.modules.normalization import ObservationNormalizer
+
+_SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
+SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # what the one that ships was trained with
 
 
 class FallNetwork(nn.Module):
@@ -22,6 +26,7 @@ class FallNetwork(nn.Module):
 
     slope: Tensor
     offset: Tensor
+    trained_with: dict[str, Any] | None = None  # keys in order, and control_dt [s]
 
     def __init__(self, size: int, hidden_size: int = 32):
         super().__init__()
@@ -49,9 +54,10 @@ class FallNetwork(nn.Module):
 
 
 def save_fall_network(network: FallNetwork, path: Path) -> None:
-    """Writes the weights and sizes."""
+    """Writes the weights, the sizes, and what it was trained with."""
     sizes = {"size": network.gru.input_size, "hidden_size": network.hidden_size}
-    checkpoint.save(path, {"sizes": sizes, "fall_network": network.state_dict()})
+    content = {"sizes": sizes, "trained_with": network.trained_with}
+    checkpoint.save(path, content | {"fall_network": network.state_dict()})
 
 
 def load_fall_network(path: str | None = None) -> FallNetwork:
@@ -66,4 +72,5 @@ def load_fall_network(path: str | None = None) -> FallNetwork:
         raise ValueError(f"path must be a file of recipes.trigger, {path} is of another kind.")
     network = FallNetwork(**content["sizes"])
     network.load_state_dict(content["fall_network"])
+    network.trained_with = SHIPPED if path is None else content.get("trained_with")
     return network.eval()

@@ -246,7 +246,7 @@ class FallPredictor(Transform):
         keys: what it was trained with, in order.
 
     Raises:
-        ValueError: at the first step, if the network was trained with other quantities.
+        ValueError: if the network was trained with other quantities or at another rate.
     """
 
     memory: Tensor
@@ -254,6 +254,12 @@ class FallPredictor(Transform):
 
     def __init__(self, env: HumanoidEnv, *, network: Any, keys: Sequence[str]):
         super().__init__(in_keys=list(keys), out_keys=["fall_probability"])
+        known = getattr(network, "trained_with", None)
+        for name, value in (("keys", list(keys)), ("control_dt", env.control_dt)):
+            if known is not None and value != known[name]:
+                raise ValueError(
+                    f"{name} must be what the network was trained with, {known[name]}, got {value}."
+                )
         self.network = network
         self.register_buffer("memory", torch.zeros(env.num_envs, network.hidden_size))
 
