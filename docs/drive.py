@@ -24,13 +24,14 @@ qpos = [int(model.joint(j).qposadr[0]) for j in joints]
 qvel = [int(model.joint(j).dofadr[0]) for j in joints]
 ctrl = [model.actuator(j).id for j in joints]
 target = np.array(about["reference_rad"], dtype=np.float32)
+action = np.zeros_like(target)
 memory = None if about["memory_shape"] is None else np.zeros(about["memory_shape"], np.float32)
 
 
 def read(name: str) -> np.ndarray:
     """A quantity of the observation."""
-    if name in ("base_acceleration", "joint_torque"):
-        sys.exit(f"{name} is a mean over the control step, which this does not take")
+    if name in ("base_acceleration", "joint_torque", "contact_impulse") or "_peak" in name:
+        sys.exit(f"{name} is a mean or peak over the control step, which this does not take")
     feet = [data.sensor(f"feet_contact/{foot}").data for foot in ("left", "right")]
     own = {
         "imu_orientation": data.qpos[3:7] * (1.0 if data.qpos[3] >= 0 else -1.0),
@@ -41,10 +42,16 @@ def read(name: str) -> np.ndarray:
         "joint_position": data.qpos[qpos],
         "joint_velocity": data.qvel[qvel],
         "target": target,
+        "last_action": action,
         "feet_contact": np.array([foot[0] > 0 for foot in feet]),
         "feet_force": -np.concatenate([foot[1:4] for foot in feet]),
     }
-    return own[name].reshape(-1) if name in own else data.sensor(name).data
+    if name in own:
+        return own[name].reshape(-1)
+    sensors = [i for i in range(model.nsensor) if model.sensor(i).name.split("/")[0] == name]
+    if not sensors:
+        sys.exit(f"{name} is no sensor of the robot")
+    return np.concatenate([data.sensor(i).data for i in sensors])
 
 
 substeps = round(about["control_dt_s"] / about["physics_dt_s"])
@@ -53,9 +60,9 @@ for _ in range(round(seconds / about["control_dt_s"])):
     observation = np.concatenate([read(part["name"]) for part in about["observation"]])
     inputs = {"observation": observation[None].astype(np.float32)}
     inputs |= {} if memory is None else {"memory": memory}
-    action, *rest = policy.run(None, inputs)
+    (action,), *rest = policy.run(None, inputs)
     memory = rest[0] if rest else None
-    target = np.array(about["reference_rad"]) + about["scale_rad"] * action[0]
+    target = np.array(about["reference_rad"]) + about["scale_rad"] * action
     target = np.clip(target, about["low_rad"], about["high_rad"]).astype(np.float32)
     data.ctrl[ctrl] = target
     for _ in range(substeps):

@@ -39,6 +39,8 @@ UNITS = {
     "imu_orientation": "1, w x y z, w >= 0", "command": "m/s, m/s, rad, m, rad, rad",
     "feet_contact": "0 or 1", "mode": "0 or 1: recover, kneel, stable",
 }  # fmt: skip
+# What transforms write that a robot has as well.
+OF_TRANSFORMS = ("target", "last_action", "command", "imu_orientation", "mode")
 
 
 @hydra.main(version_base=None, config_path=".", config_name="export")
@@ -147,6 +149,10 @@ def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, 
     if others:
         raise ValueError(f"run must have no {others[0]} to be exported: it is not described.")
     spans = vector_spans(env.observation_spec, own[0].keys)
+    physics = {*base.observation_spec.keys(True, True), *OF_TRANSFORMS}
+    others = [str(key) for key in own[0].keys if key not in physics]
+    if others:
+        raise ValueError(f"run must observe what a robot can know to be exported, got {others[0]}.")
     size = int(env.observation_spec["observation"].shape[-1])
     changed = {"observation", *(("measured", key) for key in spans)}
     others = [type(t).__name__ for t in env.transform if t not in own and changed & {*t.out_keys}]

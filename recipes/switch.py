@@ -23,6 +23,7 @@ from recipes.tested import (
     without_exploration,
 )
 from zfall import checkpoint
+from zfall.envs.make import left_out
 from zfall.envs.model import identity_of
 from zfall.modules.switched import SwitchedActor, still_actor
 
@@ -61,6 +62,12 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError(
             f"kneel must be a policy that kneels, trained with modes; {cfg.kneel} is not."
         )
+    for name in names:
+        for key in sensing_and_acting(configs[name].env, env_cfg):
+            raise ValueError(
+                f"{name} must need no {key} besides action and observation to be switched, "
+                f"{cfg[name]} has transforms.{key}."
+            )
     own = ("kneel_reference", "mode") if "kneel" in names else ()  # recovering alone needs none
     for name in (*INTERFACE, *own):
         env_cfg.transforms[name] = last.transforms.get(name)
@@ -90,6 +97,24 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
         "actor": state,
         "policy": state,
     }
+
+
+def sensing_and_acting(env_cfg: DictConfig, known: DictConfig) -> list[str]:
+    """Names of transforms between policy and physics that a table does not have: estimators, lags.
+
+    Those of training alone do not count.
+    """
+    places = tuple(
+        f"zfall.envs.transforms.{name}" for name in ("actions", "observations", "estimation")
+    )
+    only = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
+    return [
+        name
+        for name, transform in env_cfg.transforms.items()
+        if transform is not None
+        and transform._target_.startswith(places)
+        and name not in {*known.transforms, *only}
+    ]
 
 
 if __name__ == "__main__":

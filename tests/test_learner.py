@@ -518,6 +518,8 @@ FAULTS = [
      "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
     (["caps=atalante", "+auxiliary_losses.caps.neighbour_key=near"],
      "auxiliary_losses.caps must read what env or networks give, not near"),
+    (["caps=atalante", "symmetry=augmentation", "+auxiliary_losses.caps.neighbour_key=near"],
+     "auxiliary_losses.caps.neighbour_key must be observation_neighbour for the augmentation"),
 ]  # fmt: skip
 
 
@@ -525,6 +527,32 @@ FAULTS = [
 def test_faults_are_refused_before_the_first_step(compose_config, overrides, message):
     with pytest.raises(ValueError, match=message):
         Learner(compose_config("num_envs=4", "rollout_steps=8", *overrides))
+
+
+class Counting(LossModule):
+    """A loss that remembers how often it was asked."""
+
+    def __init__(self, actor_network):
+        super().__init__()
+        self.in_keys = ["observation"]
+        self.register_buffer("times", torch.zeros(()))
+
+    def forward(self, tensordict):
+        self.times += 1
+        return TensorDict({"loss_own": 0.0 * tensordict["observation"].mean()})
+
+
+def test_what_a_loss_and_the_scheduler_remember_is_resumed(compose_config):
+    """Two passes of three minibatches."""
+    own = "+auxiliary_losses.own={_target_: tests.test_learner.Counting}"
+    sizes = ("num_envs=4", "rollout_steps=4", "epochs=2", "minibatches=3")
+    learner = Learner(compose_config(own, *sizes))
+    learner.learn(learner.collect())
+    assert learner.auxiliary[0].times == 6
+    resumed = Learner(compose_config(own, *sizes))
+    resumed.load_state_dict(learner.state_dict())
+    assert resumed.auxiliary[0].times == 6
+    assert resumed.scheduler.last_kl == learner.scheduler.last_kl > 0
 
 
 class Misnamed(LossModule):

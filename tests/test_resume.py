@@ -7,7 +7,12 @@ import time
 
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
+from rich.console import Console
 
+from recipes.learner import Learner
+from recipes.run_folder import RunFolder
+from recipes.train import resumed_config, train
 from tests.shell import ROOT, TINY, run
 from zfall import checkpoint
 
@@ -72,6 +77,31 @@ def test_a_run_is_not_resumed_to_end_before_its_end(trained):
     assert (trained / "metrics.csv").read_text() == before
 
 
+def test_values_given_anew_are_read_as_hydra_reads_them(trained):
+    """Without spaces, too: not as text that YAML would take apart another way."""
+    state = checkpoint.load(trained / "checkpoints" / "last.pt")
+    given = OmegaConf.create({"showcase": {"sizes": [0.2], "starts": 1, "video": False}})
+    overrides = [f"resume={trained}", "showcase={sizes:[0.2],starts:1,video:false}"]
+    cfg = resumed_config(state["config"], given, overrides, trained)
+    assert cfg.showcase == given.showcase
+    assert cfg.num_envs == OmegaConf.create(state["config"]).num_envs
+
+
+def test_a_run_that_came_to_its_end_was_not_stopped(compose_config, tmp_path, monkeypatch):
+    """Ctrl-c in its last update is too late; in the one before it is not."""
+    for last, ended in ((2, True), (1, False)):
+        learner = Learner(compose_config(*TINY))
+        learn = learner.learn
+
+        def press(batch, learner=learner, learn=learn, last=last):
+            if learner.updates + 1 == last:
+                signal.raise_signal(signal.SIGINT)
+            return learn(batch)
+
+        monkeypatch.setattr(learner, "learn", press)
+        assert train(learner, RunFolder(tmp_path / str(last)), Console(quiet=True)) == ended
+
+
 def test_resuming_leaves_other_folders_alone(trained, tmp_path):
     """Whatever hydra is told to be its folder: only one that it made, and that is empty, goes."""
     (tmp_path / "notes.txt").write_text("mine")
@@ -91,7 +121,7 @@ def test_a_run_of_another_version_is_not_gone_on_with(trained, tmp_path):
     (tmp_path / "metrics.csv").write_text("update,falls\n1,3\n")
     done = run("train", f"resume={tmp_path}", "total_frames=96")
     assert done.returncode != 0
-    assert "must be a run of version 2 to go on with it, got None" in done.stderr
+    assert "must be a run of version 3 to go on with it, got None" in done.stderr
     assert (tmp_path / "metrics.csv").read_text() == "update,falls\n1,3\n"
 
 

@@ -52,5 +52,16 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     assert other.returncode == 0, other.stderr
     bad = run("switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
     assert "must have the same env.transforms.observation" in bad.stderr
+    speed = "{_target_: zfall.envs.transforms.estimation.NumericalVelocity, before: observation}"
+    added = [
+        f"+env.transforms.speed={speed}",
+        "env.transforms.noise=null",
+        "~env.training_only.noise",
+    ]
+    own = [*added, *common, f"hydra.run.dir={tmp_path}/speed"]
+    estimated = run("train", "experiment=push_to_kneel_kneel", *own)
+    assert estimated.returncode == 0, estimated.stderr
+    bad = run("switch", both[0], f"kneel={tmp_path}/speed", f"hydra.run.dir={tmp_path}/bad")
+    assert "kneel must need no speed besides action and observation to be switched" in bad.stderr
     bad = run("switch", "recover=best", "kneel=best", f"hydra.run.dir={tmp_path}/bad")
     assert "kneel must be a policy that kneels, trained with modes; best is not" in bad.stderr

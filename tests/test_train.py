@@ -54,6 +54,10 @@ BAD = [
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
     (["optimizer=null"], "optimizer must name one"),
+    (
+        ["optimizer.lr=0.01"],
+        "optimizer.lr must lie within scheduler.min_lr 1e-05 and scheduler.max",
+    ),
     (["showcase=5"], "showcase must be a table of sizes, starts and video, or null, got 5."),
     (["showcase={starts: 0, sizes: [0.4]}"], "showcase.starts must be a whole number, at least 1"),
     (["showcase={starts: 1, sizes: 0.4}"], "showcase.sizes must be a list of at least one size"),

@@ -161,6 +161,17 @@ def test_weight_of_the_penalty_follows_its_target():
         assert loss.kl_coeff.item() == pytest.approx(expected)
 
 
+def test_weight_of_the_penalty_comes_back_from_the_longest_quiet():
+    """Twenty halvings are a millionth: no more of them count, 35 updates of 1.5 undo them all."""
+    loss = penalty(kl_coeff=0.2, kl_target=0.01)
+    for _ in range(200):
+        loss.adapt(0.001)
+    assert loss.kl_coeff.item() == pytest.approx(0.2e-6)
+    for _ in range(35):
+        loss.adapt(1.0)
+    assert loss.kl_coeff.item() == pytest.approx(0.2e-6 * 1.5**35, rel=1e-4)
+
+
 def test_weight_without_a_target_stays():
     loss = penalty(kl_coeff=0.2)
     loss.adapt(1.0)

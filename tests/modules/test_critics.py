@@ -41,3 +41,10 @@ def test_critic_can_share_the_normaliser_of_an_actor_that_sees_the_same():
     other = Composite({"observation_critic": Unbounded((2, 8))}, shape=(2,))
     with pytest.raises(ValueError, match="must have the size of the observation, 8, got 7"):
         mlp_critic(other, normalize=shared)
+
+
+@pytest.mark.parametrize("scale", [0.0, -5.0, float("inf")])
+def test_a_unit_that_is_none_is_refused(scale):
+    spec = Composite(observation_critic=Unbounded((6,)))
+    with pytest.raises(ValueError, match="scale must be positive and finite, got"):
+        mlp_critic(spec, scale=scale)

@@ -78,7 +78,7 @@ def test_a_run_is_exported_with_what_its_numbers_mean(tmp_path):
     assert run("train", *tiny, f"hydra.run.dir={tmp_path}/run").returncode == 0
     done = run("export", f"run={tmp_path}/run", f"hydra.run.dir={tmp_path}/out")
     assert done.returncode == 0, done.stderr
-    about = json.loads((tmp_path / "out" / "policy.json").read_text())
+    about = json.loads((tmp_path / "run" / "export" / "policy.json").read_text())
     assert about["control_dt_s"] == 0.04
     assert len(about["joints"]) == len(about["reference_rad"]) == 20
     assert about["observation"][0] == {
@@ -110,6 +110,37 @@ def test_what_is_observed_through_an_estimator_is_not_exported_as_the_true_quant
         "~env.training_only.noise", f"hydra.run.dir={tmp_path}/run")  # fmt: skip
     done = run("export", f"run={tmp_path}/run", f"hydra.run.dir={tmp_path}/out")
     assert "must observe true quantities to be exported, got NumericalVelocity" in done.stderr
+
+
+def test_what_a_transform_counts_is_not_exported(tmp_path):
+    tiny = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
+    air = "{_target_: zfall.envs.transforms.windows.FeetAirTime, before: observation}"
+    keys = "env.transforms.observation.keys=[joint_position,feet_air_time]"
+    trained = run(
+        "train", *tiny, f"+env.transforms.air={air}", keys, f"hydra.run.dir={tmp_path}/run"
+    )
+    assert trained.returncode == 0, trained.stderr
+    done = run("export", f"run={tmp_path}/run", f"hydra.run.dir={tmp_path}/out")
+    assert "must observe what a robot can know to be exported, got feet_air_time" in done.stderr
+    assert not (tmp_path / "run" / "export").exists()
+
+
+def test_the_script_knows_the_last_action_and_every_sensor(tmp_path):
+    """Feet that have several sensors, and what the policy did before."""
+    pytest.importorskip("onnxruntime")
+    tiny = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
+    keys = (
+        "env.transforms.observation.keys=[joint_position,feet_position,feet_velocity,last_action]"
+    )
+    assert run("train", *tiny, keys, f"hydra.run.dir={tmp_path}/run").returncode == 0
+    done = run("export", f"run={tmp_path}/run", f"hydra.run.dir={tmp_path}/out")
+    assert done.returncode == 0, done.stderr
+    command = [sys.executable, "docs/drive.py"]
+    files = [f"{tmp_path}/run/export/policy.{ending}" for ending in ("onnx", "json")]
+    drive = subprocess.run([*command, *files, "0"], cwd=ROOT, capture_output=True, text=True)
+    assert drive.returncode == 0, drive.stderr
+    bare = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert bare.stderr.startswith("usage: docs/drive.py policy.onnx policy.json")
 
 
 def test_a_baseline_cannot_be_exported(tmp_path):

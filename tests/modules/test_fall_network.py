@@ -1,12 +1,19 @@
 """The predictor of falls: steps and sequences agree, and it learns what can be known."""
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
 
 from recipes.trigger import History, calibrate, labels, learned, probabilities, table
 from zfall.envs.transforms.modes import FallPredictor
-from zfall.modules.fall_network import FallNetwork, load_fall_network, save_fall_network
+from zfall.modules.fall_network import (
+    SHIPPED,
+    FallNetwork,
+    load_fall_network,
+    save_fall_network,
+)
 
 
 @pytest.fixture
@@ -35,6 +42,24 @@ def test_a_file_gives_the_network_back(network, tmp_path):
     assert torch.equal(again.logits(sequence)[0], network.logits(sequence)[0])
     with pytest.raises(ValueError, match="no such file"):
         load_fall_network(str(tmp_path / "none.pt"))
+
+
+def test_a_network_sees_what_it_was_trained_with_or_is_refused(make_base, network, tmp_path):
+    """In that order, at that rate; the one that ships has 25 decisions per second."""
+    keys = ["projected_gravity", "base_angular_velocity"]
+    network.trained_with = {"keys": keys, "control_dt": 0.02}
+    save_fall_network(network, tmp_path / "net.pt")
+    again = load_fall_network(str(tmp_path / "net.pt"))
+    FallPredictor(make_base(control_dt=0.02), network=again, keys=keys)
+    with pytest.raises(ValueError, match="keys must be what the network was trained with"):
+        FallPredictor(make_base(control_dt=0.02), network=again, keys=keys[::-1])
+    with pytest.raises(ValueError, match="control_dt must be what .* with, 0.02, got 0.04"):
+        FallPredictor(make_base(control_dt=0.04), network=again, keys=keys)
+    shipped = load_fall_network()
+    with pytest.raises(ValueError, match="control_dt must be what .* with, 0.04, got 0.02"):
+        FallPredictor(make_base(control_dt=0.02), network=shipped, keys=SHIPPED["keys"])
+    size = sum(make_base().observation_spec[k].shape[1:].numel() for k in SHIPPED["keys"][:4]) + 20
+    assert shipped.gru.input_size == size  # and the targets of 20 joints
 
 
 def test_the_transform_begins_anew_with_each_episode(make_base, network):
@@ -93,6 +118,25 @@ def test_calibration_makes_what_is_said_come_true():
         assert history.fell[rows].float().mean() == pytest.approx(
             said[rows].mean().item(), abs=0.07
         )
+
+
+def test_calibration_of_what_can_be_told_apart_stays_finite():
+    """Two logits, one for each outcome: Platt's targets, 31 of 32 and 1 of 72, are met by both."""
+    fell = torch.arange(100) < 30
+    live = torch.ones(100, 1, dtype=torch.bool)
+    measured = torch.where(fell, 2.0, -1.0)[:, None, None]
+    zero = torch.zeros(100, 1)
+    history = History(measured, zero, zero, live, fell, torch.ones(1, dtype=torch.bool))
+
+    class Certain(FallNetwork):
+        def logits(self, sequence, memory=None):
+            return sequence[..., 0], torch.zeros(len(sequence), 1)
+
+    network = Certain(1, 4)
+    calibrate(network, history)
+    high, low = math.log(31 / 1), math.log(1 / 71)  # logit of 31/32 and of 1/72
+    assert network.slope.item() == pytest.approx((high - low) / 3, rel=1e-3)
+    assert network.offset.item() == pytest.approx(high - 2 * (high - low) / 3, rel=1e-2)
 
 
 def test_lead_and_false_alarms_by_hand():
