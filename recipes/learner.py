@@ -4,7 +4,7 @@ import inspect
 from typing import Any
 
 import torch
-from hydra.utils import get_object, instantiate
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase, unravel_key
 from tensordict.nn import TensorDictSequential
@@ -17,6 +17,7 @@ from torchrl.objectives.value import GAE
 
 from recipes.averaging import moving_average
 from recipes.digests import weights_digest
+from recipes.objective import ppo_loss, target_of
 from recipes.ranges import check_finite, check_ranges
 from recipes.tested import read_teacher
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
@@ -25,7 +26,6 @@ from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.burn_in import burnt_in
-from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
 
 
@@ -90,21 +90,7 @@ class Learner:
             self.advantage = GAE(
                 gamma=loss.gamma, lmbda=loss.lmbda, value_network=self.critic, deactivate_vmap=True
             )
-        self.loss = PenalizedPPOLoss(
-            self.actor,
-            self.critic,
-            clip_epsilon=loss.clip_epsilon,
-            critic_coeff=loss.critic_coeff,
-            entropy_coeff=loss.entropy_coeff,
-            entropy_bonus=loss.entropy_coeff > 0,  # a coefficient of 0 would still compute it
-            loss_critic_type="l2",
-            normalize_advantage=loss.normalize_advantage == "minibatch",
-            kl_coeff=loss.kl_coeff,
-            kl_target=loss.kl_target,
-            value_clip=loss.value_clip,
-            value_error_clip=loss.value_error_clip,
-        )
-        self.loss.set_keys(sample_log_prob="action_log_prob")
+        self.loss = ppo_loss(loss, self.actor, self.critic)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         for name, auxiliary in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
             known = {parameter.data_ptr() for parameter in self.parameters}
@@ -159,7 +145,7 @@ class Learner:
         ``spans`` say where each quantity lies in the observation; ``mirrors`` reflect the keys
         that the class names as ``mirrored``; the teacher, a run, is read.
         """
-        target = get_object(config["_target_"])
+        target = target_of(config, place)
         asked = inspect.signature(target).parameters
         known: dict[str, Any] = {}
         if "spans" in asked:
@@ -279,8 +265,8 @@ class Learner:
         return some
 
     def _buffers(self) -> dict[str, torch.Tensor]:
-        """What losses beside PPO's and the augmentation remember, by place."""
-        modules = {"augmentation": self.augmentation}
+        """What losses and the augmentation remember, by place."""
+        modules = {"loss": self.loss, "augmentation": self.augmentation}
         modules |= dict(zip(self.cfg.auxiliary_losses, self.auxiliary, strict=True))
         networks = {id(b) for net in (self.actor, self.critic) for b in net.buffers()}
         return {
@@ -288,7 +274,7 @@ class Learner:
             for place, module in modules.items()
             if isinstance(module, torch.nn.Module)
             for name, buffer in module.named_buffers()
-            if id(buffer) not in networks
+            if id(buffer) not in networks and "_network_params." not in name
         }
 
     def state_dict(self) -> dict[str, Any]:
@@ -304,7 +290,6 @@ class Learner:
             "optimizer": self.optimizer.state_dict(),
             "scheduler": self.scheduler.state_dict() if self.scheduler else {},
             "buffers": {key: value.clone() for key, value in self._buffers().items()},
-            "kl_coeff": self.loss.kl_coeff.item(),
             "env": self.env.base_env.state_dict(),
             "transforms": self.env.transform.state_dict(),
             "carrier": self.carrier.to_dict(),
@@ -334,7 +319,6 @@ class Learner:
             self.scheduler.load_state_dict(state["scheduler"])
         for key, value in self._buffers().items():
             value.copy_(state["buffers"][key])
-        self.loss.kl_coeff.fill_(state["kl_coeff"])
         self.env.base_env.load_state_dict(state["env"])
         self.env.transform.load_state_dict(state["transforms"])
         self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)

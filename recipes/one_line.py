@@ -17,6 +17,11 @@ from omegaconf.errors import OmegaConfBaseException
 # Of another actor's key that was left over, for instance.
 _UNEXPECTED = re.compile(r"(.*) got an unexpected keyword argument '(\w+)'.*")
 _CALLED = re.compile(r"(\w+)\(\) missing .* arguments?: 'td'.*")  # a term, when the table is read
+# A number where a list or a table belongs, or the other way round.
+_OTHER_KIND = re.compile(
+    r".*'(int|float|str|bool|NoneType|ListConfig|DictConfig|list|dict)' "
+    r"(object is not|is not iterable|object has no attribute|and 'int'|and 'float').*"
+)
 _NOT_LOADED = re.compile(r"Error loading '(\S+)': \w+\([\"'](.*)[\"']\).*")
 
 
@@ -107,6 +112,8 @@ def _innermost(error: BaseException) -> str:
         reason = (
             f"_target_ must name something that Python can import, got {absent[1]}: {absent[2]}."
         )
+    elif place and _OTHER_KIND.fullmatch(reason):
+        reason = f"a value may be of another kind than it takes: {reason}."
     return f"{place}: {reason}" if place else reason
 
 

@@ -10,6 +10,11 @@ from torch import Tensor
 from recipes.one_line import check_keys
 
 _COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
+_TABLES = {
+    "optimizer": "{_target_: torch.optim.Adam, lr: 5.0e-4}",
+    "scheduler": "{_target_: torchrl.objectives.KLAdaptiveLR, ...}, or null",
+    "auxiliary_losses": "{NAME: {_target_: ..., ...}}, or {} for none",
+}
 
 
 def check_ranges(cfg: DictConfig) -> None:
@@ -28,8 +33,9 @@ def check_ranges(cfg: DictConfig) -> None:
     check_number(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
     check_number(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
     check_number(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
-    if cfg.optimizer is None:
-        raise ValueError("optimizer must name one, {_target_: torch.optim.Adam, ...}, got None.")
+    for key, example in _TABLES.items():
+        if not (isinstance(cfg[key], DictConfig) or (key == "scheduler" and cfg[key] is None)):
+            raise ValueError(f"{key} must be a table, {example}, got {cfg[key]}.")
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))

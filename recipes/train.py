@@ -19,6 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from recipes.learner import Learner
 from recipes.metrics import batch_metrics
+from recipes.objective import LOSS_KEYS
 from recipes.one_line import check_keys, one_line_errors, shell_line, shown_path, start
 from recipes.run_folder import RunFolder, check_version, removed_if_unused, write_config
 from recipes.showcase import show
@@ -33,10 +34,6 @@ KEYS = {
     *("env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
     *("auxiliary_losses", "auxiliary_share", "augmentation"),
 }
-LOSS_KEYS = {
-    *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
-    *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
-}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="train")
@@ -48,7 +45,8 @@ def main(cfg: DictConfig) -> None:
         frames = cfg.total_frames
         if not (isinstance(frames, (int, float)) and 0 < frames < math.inf):
             raise ValueError(f"total_frames must be a positive number, got {frames}.")
-        check_keys(cfg.loss, LOSS_KEYS, "loss.")
+        if "_target_" not in cfg.loss:  # a class of one's own may have keys of its own
+            check_keys(cfg.loss, LOSS_KEYS, "loss.")
         state = None
         if cfg.resume is not None:
             folder = Path(cfg.resume)

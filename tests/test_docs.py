@@ -107,11 +107,15 @@ def test_an_own_reward_term_is_worth_what_it_says(tmp_path, monkeypatch, compose
     sys.modules.pop("my_terms")
 
 
+def learning_examples() -> list[str]:
+    """The blocks of learning.md: a loss, its test, and another PPO."""
+    page = (ROOT / "docs" / "learning.md").read_text()
+    return re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+
+
 def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_config):
     """The example of learning.md: with a large weight it keeps the actions small."""
-    module, test = re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL
-    )
+    module, test, _ = learning_examples()
     (tmp_path / "my_losses.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     there: dict[str, Any] = {}
@@ -127,3 +131,27 @@ def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_confi
         sizes.append(mean.square().mean().item())
     sys.modules.pop("my_losses")
     assert sizes[1] < 0.7 * sizes[0]
+
+
+def test_an_own_ppo_takes_part_in_training(tmp_path, monkeypatch, compose_config):
+    """The example of learning.md: with factor 1 it is PPO, with 0 bad actions teach nothing."""
+    (tmp_path / "my_ppo.py").write_text(learning_examples()[2])
+    monkeypatch.syspath_prepend(tmp_path)
+    small = ("num_envs=8", "rollout_steps=8", "loss.normalize_advantage=null")
+    losses = {}
+    for below in (1.0, 0.0):
+        own = ("+loss._target_=my_ppo.OptimisticPPOLoss", f"+loss.below={below}")
+        learner, plain = (Learner(compose_config(*small, *more)) for more in (own, ()))
+        batch = plain.collect()
+        with torch.no_grad():
+            plain.advantage(batch)
+        advantage = batch["advantage"]
+        assert (advantage > 0).any()
+        assert (advantage < 0).any()
+        losses[below] = learner.loss(batch)["loss_objective"], plain.loss(batch)["loss_objective"]
+        learner.learn(batch)
+    sys.modules.pop("my_ppo")
+    assert_close(*losses[1.0])
+    # Before the first step all ratios are 1: the objective is the mean of what is left.
+    assert_close(losses[0.0][0], -advantage.clamp(min=0).mean())
+    assert not torch.isclose(*losses[0.0])

@@ -53,7 +53,12 @@ BAD = [
     (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
-    (["optimizer=null"], "optimizer must name one"),
+    (["optimizer=null"], "optimizer must be a table, {_target_: torch.optim.Adam"),
+    (["auxiliary_losses=3"], "auxiliary_losses must be a table, {NAME:"),
+    (
+        ["env.transforms.noise.std=3"],
+        "env.transforms.noise: a value may be of another kind than it takes: 'int' object",
+    ),
     (
         ["optimizer.lr=0.01"],
         "optimizer.lr must lie within scheduler.min_lr 1e-05 and scheduler.max",
