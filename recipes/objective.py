@@ -6,12 +6,8 @@ import torch
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig
 
+from recipes.ranges import LOSS_KEYS
 from zfall.losses.ppo import PenalizedPPOLoss
-
-LOSS_KEYS = {
-    *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
-    *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
-}
 
 
 def ppo_loss(cfg: DictConfig, actor: torch.nn.Module, critic: torch.nn.Module) -> PenalizedPPOLoss:

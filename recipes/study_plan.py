@@ -1,15 +1,18 @@
 """The plan of a study: what is trained, beside what it acts, and in which worlds it is tested."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from hydra import compose
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from recipes.digests import MOVEMENTS, digest, env_digest, file_digest
+from recipes.ranges import check_config
 from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.evaluation.definitions import Battery, load_battery
@@ -71,6 +74,7 @@ def plan(study: DictConfig) -> list[Run]:
     missing = [key for key in NEEDED if OmegaConf.select(study, key) is None]
     if missing:
         raise ValueError(f"study.{missing[0]} is missing: a study has {', '.join(NEEDED)}.")
+    _check_lists(study)
     battery = battery_of(study)
     size = OmegaConf.select(study, "training_size")
     size = size if size is None else f"{float(size):g}"
@@ -86,10 +90,8 @@ def plan(study: DictConfig) -> list[Run]:
     runs = []
     for row, overrides in study.rows.items():
         for seed in (OmegaConf.select(study, "row_seeds") or {}).get(row, study.seeds):
-            try:
+            with of(f"study.rows.{row}"):
                 cfg = training([*study.base, *overrides], seed, study)
-            except HydraException as error:
-                raise ValueError(f"study.rows.{row}: {error}") from error
             beside = _beside(study, row, seed)
             tests = _tests(study, cfg, beside)
             if beside is not None:
@@ -114,7 +116,33 @@ def battery_of(study: DictConfig) -> Battery:
 def training(overrides: Sequence[str], seed: int, study: DictConfig) -> DictConfig:
     """The config of a training of a study; a row may have a ``total_frames`` of its own."""
     own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
-    return compose("train", overrides=[*own, *overrides])
+    cfg = compose("train", overrides=[*own, *overrides])
+    check_config(cfg)
+    return cfg
+
+
+@contextmanager
+def of(key: str) -> Iterator[None]:
+    """Says of which key of the study it is that something is wrong."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        raise ValueError(f"{key}: {error}") from error
+
+
+def _check_lists(study: DictConfig) -> None:
+    """Refuses a study without runs, and single values where lists are read."""
+    if not isinstance(study.rows, DictConfig) or not study.rows:
+        raise ValueError(f"study.rows must be at least one NAME: [OVERRIDES], got {study.rows}.")
+    lists = {"base": study.base, **{f"rows.{row!s}": each for row, each in study.rows.items()}}
+    seeds = {f"row_seeds.{row!s}": each for row, each in (study.get("row_seeds") or {}).items()}
+    seeds["seeds"] = study.seeds
+    for key, values in (lists | seeds).items():
+        if not isinstance(values, ListConfig):
+            raise ValueError(f"study.{key} must be a list, got {values}.")
+    for key, values in seeds.items():
+        if not values or any(type(seed) is not int for seed in values):
+            raise ValueError(f"study.{key} must be whole numbers, at least one, got {values}.")
 
 
 def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConfig] | None:
@@ -128,7 +156,12 @@ def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConf
             f"study.beside must give {row} one policy, recover: NAME or kneel: NAME, a list of "
             f"overrides in place of NAME, or kneel: script; got {given}."
         )
-    return str(role), other if isinstance(other, str) else training(list(other), seed, study)
+    with of(f"study.beside.{row}"):
+        if isinstance(other, str):
+            if other != SCRIPT:
+                checkpoint_of(other)
+            return str(role), other
+        return str(role), training(list(other), seed, study)
 
 
 def _check_switched(
@@ -170,7 +203,8 @@ def _tests(
     for title, overrides in (OmegaConf.select(study, "tests") or {"": None}).items():
         env_cfg, more = None, {}
         if overrides is not None:
-            env_cfg = compose("train", overrides=[*study.base, *overrides]).env
+            with of(f"study.tests.{title}"):
+                env_cfg = compose("train", overrides=[*study.base, *overrides]).env
             more = {"test": env_digest(env_cfg)}
         tests.append(Test(str(title), env_cfg, digest(wanted | more)))
     return tuple(tests)

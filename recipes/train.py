@@ -19,8 +19,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from recipes.learner import Learner
 from recipes.metrics import batch_metrics
-from recipes.objective import LOSS_KEYS
-from recipes.one_line import check_keys, one_line_errors, shell_line, shown_path, start
+from recipes.one_line import one_line_errors, shell_line, shown_path, start
+from recipes.ranges import check_config
 from recipes.run_folder import RunFolder, check_version, removed_if_unused, write_config
 from recipes.showcase import show
 from recipes.tested import check_holds_run
@@ -28,25 +28,13 @@ from recipes.warm_start import warm_start
 from zfall import checkpoint
 from zfall.envs.model import identity_of
 
-KEYS = {
-    *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
-    *("max_grad_norm", "averaging", "resume", "warm_start", "checkpoint_every", "showcase"),
-    *("env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
-    *("auxiliary_losses", "auxiliary_share", "augmentation"),
-}
-
 
 @hydra.main(version_base=None, config_path=".", config_name="train")
 def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors(), removed_if_unused(folder):
-        check_keys(cfg, KEYS)
-        frames = cfg.total_frames
-        if not (isinstance(frames, (int, float)) and 0 < frames < math.inf):
-            raise ValueError(f"total_frames must be a positive number, got {frames}.")
-        if "_target_" not in cfg.loss:  # a class of one's own may have keys of its own
-            check_keys(cfg.loss, LOSS_KEYS, "loss.")
+        check_config(cfg)
         state = None
         if cfg.resume is not None:
             folder = Path(cfg.resume)
