@@ -119,6 +119,15 @@ def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
         assert len(looks) == 8
 
 
+def test_the_same_curves_give_the_same_pdf(tmp_path, monkeypatch):
+    """A study shown again changes no file, whenever that is."""
+    curve = pd.DataFrame({"frames": [1.0, 2.0, 3.0], "episode_seconds": [1.0, 2.0, 3.0]})
+    for name, time in (("a", "0"), ("b", "1000000")):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", time)  # what matplotlib takes for today
+        learning_bands({"run": [curve, curve]}, tmp_path / f"{name}.pdf")
+    assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+
+
 def test_curves_are_averaged_over_what_falls_into_a_bin():
     run = pd.DataFrame({"frames": [1.0, 2.0, 3.0, 9.0], "value": [1.0, 3.0, 5.0, 7.0]})
     assert _binned(run, "value", np.array([0.0, 2.0, 4.0, 6.0, 10.0])).tolist() == [

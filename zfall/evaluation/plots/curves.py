@@ -82,7 +82,9 @@ def learning_bands(
         beside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
     what = "mean and 95 % interval (seeds)"
     axes.legend(fontsize=7, title=what, title_fontsize=7, **beside)
-    figure.savefig(path, dpi=300)
+    # Without its date, the same curves give the same file.
+    metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
+    figure.savefig(path, dpi=300, metadata=metadata)
 
 
 def _binned(run: pd.DataFrame, key: str, edges: np.ndarray) -> np.ndarray:
