@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from recipes.one_line import check_keys, one_line_errors, start
+from recipes.ranges import check_flags
 from recipes.study_plan import STUDY, Run, Test, battery_of, plan, run_folder
 from recipes.study_runs import execute, failure_file, frames_done, result_file, unfinished
 from zfall.evaluation.ablation import (
@@ -41,6 +42,10 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_keys(cfg, KEYS)
         check_keys(cfg.study, STUDY, "study.")
+        check_flags(cfg, ["rebuild"])
+        for key in ("results", "runs"):
+            if not isinstance(cfg[key], str):
+                raise ValueError(f"{key} must be the name of a folder, got {cfg[key]}.")
         runs = plan(cfg.study)
     if cfg.jobs is not None:  # in a launcher's process
         execute(runs[int(cfg.jobs)], cfg)

@@ -1,6 +1,7 @@
 """Speed against the bare physics and against peers, in one run: ``python -m recipes.bench``."""
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable
@@ -22,6 +23,8 @@ from torchrl.envs import TransformedEnv
 from recipes.learner import Learner
 from recipes.one_line import check_keys, one_line_errors, start
 from recipes.peers import measure_peers, memory_per_world
+from recipes.ranges import check_flags, check_number
+from recipes.run_folder import write_config
 from recipes.train import garbage_collector_of_new_things
 from zfall.envs.threads import physics_first
 
@@ -36,9 +39,12 @@ def main(cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors(), console.status("setting up") as status:
         check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed", "peers", "only"})
+        check_flags(cfg, ["peers"])
+        check_number(cfg.seconds, "seconds", lambda x: 0 < x < math.inf, "be positive and finite")
         measuring = measure if cfg.only is None else measure_experiment
         results = measuring(cfg, lambda name: status.update(f"measuring {name}"))
     folder = Path(HydraConfig.get().runtime.output_dir)
+    write_config(cfg, HydraConfig.get().overrides.task, folder)
     (folder / "bench.json").write_text(json.dumps(results, indent=2))
     out = Table(title=f"{cfg.num_envs} worlds, {len(os.sched_getaffinity(0))} cores")
     out.add_column("figure")

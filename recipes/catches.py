@@ -8,20 +8,23 @@ better upright on a knee or shin, and what lands softly, on torso or head if it 
 what the robot has, and keeps that where it is better; takes an hour.
 """
 
+import math
 from itertools import pairwise, product
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from tensordict import TensorDict
 from torch import Tensor
 
 from recipes.one_line import check_keys, one_line_errors, start
+from recipes.ranges import check_lists, check_number, check_whole
 from zfall.envs.catches import HEADINGS, catches_path, load_catches, save_catches
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.envs.rotations import turn_to_heading
@@ -55,8 +58,14 @@ class Falls:
     def __init__(self, env: HumanoidEnv, path: Path):
         if not path.is_file():
             raise ValueError(f"falls must be a file that recipes.falls wrote, there is no {path}.")
-        with np.load(path) as file:
-            arrays = {key: torch.from_numpy(file[key]).float() for key in file.files}
+        wanted = {*STATE_KEYS, "push_force", "push_left"}
+        try:
+            with np.load(path) as file:
+                arrays = {key: torch.from_numpy(file[key]).float() for key in wanted}
+        except (ValueError, KeyError, AttributeError, BadZipFile) as error:
+            raise ValueError(
+                f"falls must be a file that recipes.falls wrote, {path} is none."
+            ) from error
         self.states = {key: arrays[key] for key in STATE_KEYS}
         self.force, self.left = arrays["push_force"], arrays["push_left"][:, 0]
         self.env, count = env, len(self.force)
@@ -196,10 +205,13 @@ def main(cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors():
         check_keys(cfg, KEYS)
+        check_lists(cfg, ("headings", "until", "speeds"))
+        check_whole(cfg, ("candidates", "trials", "elite", "rounds"), 1)
+        check_whole(cfg, ["seed"])
+        check_number(cfg.spread, "spread", lambda x: 0 < x < math.inf, "be positive and finite")
         if not 2 <= cfg.elite <= cfg.candidates:
             raise ValueError(f"elite must lie in [2, candidates], got {cfg.elite}.")
-        given = cfg.headings if OmegaConf.is_list(cfg.headings) else [cfg.headings]
-        if not given or any(heading not in HEADINGS for heading in given):
+        if not cfg.headings or any(heading not in HEADINGS for heading in cfg.headings):
             raise ValueError(
                 f"headings must be some of 0, 30, ... 330 degrees, got {cfg.headings}."
             )
@@ -220,7 +232,7 @@ def main(cfg: DictConfig) -> None:
         found[:] = known.postures[:, of_bin][:, :, of_time]
     path = Path(HydraConfig.get().runtime.output_dir) / "catches.npz"
     save_catches(path, found, until, torch.tensor(list(cfg.speeds)))
-    for heading, (j, (low, high)) in product(given, bins):
+    for heading, (j, (low, high)) in product(cfg.headings, bins):
         i = HEADINGS.index(heading)
         rows = falls.like(heading, low, high)
         if len(rows) < cfg.trials:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shell_line, start
-from recipes.ranges import check_lists, check_number, check_whole
+from recipes.ranges import check_flags, check_lists, check_whole
 from recipes.results import write_comparison, write_envelope, write_results
 from recipes.tested import BASELINES, SCRIPTED, Tested, held, load_run, read_trials, write_trials
 from recipes.trial import show_trial
@@ -54,9 +54,8 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_keys(cfg, KEYS | set(OPTIONS))
         check_lists(cfg, ("runs", "keep", "change"))
-        check_whole(cfg, ("num_envs", "seed"))
-        check_number(cfg.num_envs, "num_envs", lambda x: x >= 1, "be at least 1")
-        check_number(cfg.seed, "seed", lambda x: x >= 0, "not be negative")
+        check_whole(cfg, ["num_envs"], 1)
+        check_whole(cfg, ["seed"])
         options = {key: cfg[key] for key in OPTIONS if cfg[key] is not None}
         battery = load_battery(cfg.battery, **options)
         if (cfg.run is None) == (cfg.runs is None):
@@ -72,10 +71,9 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(
                 "trial needs a battery whose trials are independent: not envelope, and no keep."
             )
+        check_flags(cfg, ["video"])
         if cfg.video and cfg.trial is None:
             raise ValueError("video needs a trial, by its number in trials.csv: trial=1000.")
-        if cfg.checkpoint not in ("last", "best"):
-            raise ValueError(f"checkpoint must be last or best, got {cfg.checkpoint}.")
         names = [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
         own = [name for name in names if name not in BASELINES]
         if own and cfg.get("env") is not None:

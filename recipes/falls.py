@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.ranges import check_number
+from recipes.ranges import check_lists, check_number, check_whole
 from recipes.tested import load_run
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.terms.falls import body_contact
@@ -46,6 +46,8 @@ def main(cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors():
         check_keys(cfg, KEYS)
+        check_lists(cfg, ("impulses", "points", "times"))
+        check_whole(cfg, ["seed"])
         check_number(cfg.duration, "duration", lambda x: 0 < x < 1.9, "lie in (0, 1.9) s")
         env_cfg, actor = load_run(cfg, cfg.run)
         if cfg.times is None and env_cfg.transforms.get("mode") is None:

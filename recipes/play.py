@@ -15,7 +15,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
 from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shown_path, start
-from recipes.ranges import check_lists, check_number, check_whole
+from recipes.ranges import check_flags, check_lists, check_number, check_whole
 from recipes.showcase import frame
 from recipes.tested import BASELINES, keep, load_run
 from zfall.envs.make import left_out
@@ -39,8 +39,9 @@ def main(cfg: DictConfig) -> None:
         if cfg.run not in BASELINES and cfg.get("env") is not None:
             raise ValueError(f"env must be given for baselines alone, {cfg.run} has its own.")
         check_lists(cfg, ["keep"])
-        check_whole(cfg, ("num_envs", "seed"))
-        check_number(cfg.num_envs, "num_envs", lambda x: x >= 1, "be at least 1")
+        check_whole(cfg, ["num_envs"], 1)
+        check_whole(cfg, ["seed"])
+        check_flags(cfg, ["video"])
         check_number(cfg.seconds, "seconds", lambda x: x > 0, "be positive")
         env_cfg, actor = load_run(cfg, cfg.run)
         env_cfg = keep(env_cfg, cfg.keep)

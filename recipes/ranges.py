@@ -48,10 +48,8 @@ def check_ranges(cfg: DictConfig) -> None:
     Raises:
         ValueError: on a number out of its range, or something else in its place.
     """
-    check_whole(cfg, (*_COUNTS, "seed", "burn_in"))
-    check_number(cfg.seed, "seed", lambda x: x >= 0, "not be negative")
-    for key in _COUNTS:
-        check_number(cfg[key], key, lambda x: x >= 1, "be at least 1")
+    check_whole(cfg, _COUNTS, 1)
+    check_whole(cfg, ("seed", "burn_in"))
     check_number(
         cfg.burn_in, "burn_in", lambda x: 0 <= x < cfg.rollout_steps, "lie in [0, rollout_steps)"
     )
@@ -119,11 +117,12 @@ def check_finite(values: dict[str, Tensor], update: int) -> None:
             )
 
 
-def check_whole(cfg: DictConfig, keys: Iterable[str]) -> None:
-    """Refuses what is no whole number, naming the key."""
+def check_whole(cfg: DictConfig, keys: Iterable[str], least: int = 0) -> None:
+    """Refuses what is no whole number, or less than ``least``, naming the key."""
     for key in keys:
         if type(cfg[key]) is not int:
             raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
+        check_number(cfg[key], key, lambda x: x >= least, f"be at least {least}")
 
 
 def check_lists(cfg: DictConfig, keys: Iterable[str]) -> None:
@@ -131,6 +130,13 @@ def check_lists(cfg: DictConfig, keys: Iterable[str]) -> None:
     for key in keys:
         if cfg.get(key) is not None and not isinstance(cfg[key], ListConfig):
             raise ValueError(f"{key} must be a list, [{cfg[key]}], got {cfg[key]}.")
+
+
+def check_flags(cfg: DictConfig, keys: Iterable[str]) -> None:
+    """Refuses what is neither true nor false, naming the key."""
+    for key in keys:
+        if not isinstance(cfg[key], bool):
+            raise ValueError(f"{key} must be true or false, got {cfg[key]}.")
 
 
 def check_number(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:

@@ -208,13 +208,15 @@ def checkpoint_of(
 
     Args:
         run: the folder, or the name of the policy.
-        name: of the checkpoint.
+        name: of the checkpoint, ``last`` or ``best``.
         key: what to call it, should there be none.
         others: what else may stand there.
 
     Raises:
         ValueError: if there is neither.
     """
+    if name not in ("last", "best"):
+        raise ValueError(f"checkpoint must be last or best, got {name}.")
     if not isinstance(run, str):
         raise ValueError(f"{key} must be the name of one folder or policy, got {run}.")
     path = _shipped(run)
@@ -250,14 +252,16 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
     """The env's config with some of its values replaced, ``transforms.mode.angle=0.4``.
 
     Raises:
-        ValueError: on a key that is not there.
+        ValueError: on a key that is not there, or something else than a list.
     """
-    for change in changes:
+    if isinstance(changes, str) or not isinstance(changes, Sequence):
+        raise ValueError(f"change must be a list, [{changes}], got {changes}.")
+    for change in map(str, changes):
         key = change.partition("=")[0]
         if OmegaConf.select(env_cfg, key, default="missing") == "missing":
             raise ValueError(f"change must name a value of the env, there is no {key}.")
     new = env_cfg.copy()  # keeps what it refers to outside of itself
-    for change in changes:
+    for change in map(str, changes):
         key = change.partition("=")[0]
         OmegaConf.update(new, key, OmegaConf.select(OmegaConf.from_dotlist([change]), key))
     return new

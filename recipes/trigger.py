@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from recipes.one_line import check_keys, one_line_errors, start
-from recipes.ranges import check_lists, check_number, check_whole
+from recipes.ranges import check_lists, check_whole
 from recipes.results import markdown
 from recipes.tested import held, keep, load_run
 from zfall.envs.rotations import tilt
@@ -65,9 +65,8 @@ def main(cfg: DictConfig) -> None:
         }
         check_keys(cfg, known | {"hidden_size", "impulses"})
         check_lists(cfg, ("measured", "impulses", "keep", "change"))
-        check_whole(cfg, ("seed", "epochs", "hidden_size"))
-        for key in ("epochs", "hidden_size"):
-            check_number(cfg[key], key, lambda x: x >= 1, "be at least 1")
+        check_whole(cfg, ("epochs", "hidden_size"), 1)
+        check_whole(cfg, ["seed"])
         env_cfg, actor = load_run(cfg, cfg.run)
         there = OmegaConf.select(env_cfg, "training_only", default={})
         kept = [name for name in ("noise", "delay") if name in there]

@@ -133,7 +133,7 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
         (["run=best", "keep=noise"], "error: keep must be a list, [noise], got noise."),
         (["run=[best,kneel]"], "error: run must be the name of one folder or policy"),
         (["run=best", "num_envs=abc"], "error: num_envs must be a whole number, got abc."),
-        (["run=best", "seed=-1"], "error: seed must not be negative, got -1."),
+        (["run=best", "seed=-1"], "error: seed must be at least 0, got -1."),
         (["run=best", "point=5"], "error: point must be a name, or a list of at least one, got 5."),
         (["run=best", "env=icub_balance"], "error: env must be given for baselines alone, best"),
         (["run=best", "video=true"], "error: video needs a trial"),
