@@ -26,6 +26,7 @@ from zfall.envs.threads import physics_first
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.burn_in import burnt_in
+from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
 
 
@@ -113,7 +114,11 @@ class Learner:
             )
         inputs = ["observation", "observation_critic", "is_init", *hidden]
         self._learned = [*inputs, "action", "action_log_prob"]
-        wanted = [key for loss in self.auxiliary for key in loss.in_keys]
+        reading = dict(zip(cfg.auxiliary_losses, self.auxiliary, strict=True))
+        reading = {f"auxiliary_losses.{name}": loss for name, loss in reading.items()}
+        if type(self.loss) is not PenalizedPPOLoss:  # what that reads is there
+            reading["loss"] = self.loss
+        wanted = [key for loss in reading.values() for key in loss.in_keys]
         self._learned += [key for key in dict.fromkeys(wanted) if key not in self._learned]
         flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
         flags += ["episode_reward", "step_count", "diverged"]
@@ -130,13 +135,11 @@ class Learner:
         self.carrier = self.env.reset()
         given = {*self.carrier.keys(True, True), *self._acting.out_keys, *self.env.reward_keys}
         given |= {"state_value", "advantage", "value_target"}
-        for name, loss in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
-            for key in loss.in_keys:
+        for place, each in reading.items():
+            for key in each.in_keys:
                 here = unravel_key(key[1:]) if isinstance(key, tuple) and key[0] == "next" else key
                 if here not in given:
-                    raise ValueError(
-                        f"auxiliary_losses.{name} must read what env or networks give, not {key}."
-                    )
+                    raise ValueError(f"{place} must read what env or networks give, not {key}.")
         self.frames = self.updates = 0
 
     def _build(self, config: DictConfig, *args: object, place: str = "augmentation") -> Any:
@@ -268,13 +271,13 @@ class Learner:
         """What losses and the augmentation remember, by place."""
         modules = {"loss": self.loss, "augmentation": self.augmentation}
         modules |= dict(zip(self.cfg.auxiliary_losses, self.auxiliary, strict=True))
-        networks = {id(b) for net in (self.actor, self.critic) for b in net.buffers()}
+        networks = {b.data_ptr() for net in (self.actor, self.critic) for b in net.buffers()}
         return {
             f"{place}.{name}": buffer
             for place, module in modules.items()
             if isinstance(module, torch.nn.Module)
             for name, buffer in module.named_buffers()
-            if id(buffer) not in networks and "_network_params." not in name
+            if buffer.data_ptr() not in networks  # a loss holds the networks' under other names
         }
 
     def state_dict(self) -> dict[str, Any]:

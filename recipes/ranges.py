@@ -9,37 +9,12 @@ from torch import Tensor
 
 from recipes.one_line import check_keys
 
-KEYS = {
-    *("seed", "num_envs", "total_frames", "rollout_steps", "epochs", "minibatches", "burn_in"),
-    *("max_grad_norm", "averaging", "resume", "warm_start", "checkpoint_every", "showcase"),
-    *("env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
-    *("auxiliary_losses", "auxiliary_share", "augmentation"),
-}
-LOSS_KEYS = {
-    *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
-    *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
-}
 _COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 _TABLES = {
     "optimizer": "{_target_: torch.optim.Adam, lr: 5.0e-4}",
     "scheduler": "{_target_: torchrl.objectives.KLAdaptiveLR, ...}, or null",
     "auxiliary_losses": "{NAME: {_target_: ..., ...}}, or {} for none",
 }
-
-
-def check_config(cfg: DictConfig) -> None:
-    """Refuses a composed config of ``recipes.train`` before anything is built from it.
-
-    Raises:
-        ValueError: on a key that nothing reads, or what ``check_ranges`` refuses.
-    """
-    check_keys(cfg, KEYS)
-    check_number(
-        cfg.total_frames, "total_frames", lambda x: 0 < x < math.inf, "be a positive number"
-    )
-    if "_target_" not in cfg.loss:  # a class of one's own may have keys of its own
-        check_keys(cfg.loss, LOSS_KEYS, "loss.")
-    check_ranges(cfg)
 
 
 def check_ranges(cfg: DictConfig) -> None:
@@ -62,6 +37,9 @@ def check_ranges(cfg: DictConfig) -> None:
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))
+        for key, bound in (("min_lr", low), ("max_lr", high)):
+            if bound is not None:
+                check_number(bound, f"scheduler.{key}", lambda x: x >= 0, "not be negative")
         if None not in (low, high) and not low <= cfg.optimizer.lr <= high:
             raise ValueError(
                 f"optimizer.lr must lie within scheduler.min_lr {low} and scheduler.max_lr {high}, "

@@ -1,5 +1,6 @@
 """The plan of a study: what is trained, beside what it acts, and in which worlds it is tested."""
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -11,8 +12,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from recipes.config import check_config
 from recipes.digests import MOVEMENTS, digest, env_digest, file_digest
-from recipes.ranges import check_config
+from recipes.ranges import check_number
 from recipes.tested import INTERFACE, check_same_interface, checkpoint_of
 from zfall import checkpoint
 from zfall.evaluation.definitions import Battery, load_battery
@@ -74,10 +76,12 @@ def plan(study: DictConfig) -> list[Run]:
     missing = [key for key in NEEDED if OmegaConf.select(study, key) is None]
     if missing:
         raise ValueError(f"study.{missing[0]} is missing: a study has {', '.join(NEEDED)}.")
-    _check_lists(study)
-    battery = battery_of(study)
+    _check_kinds(study)
+    with of("study.battery"):
+        battery = battery_of(study)
     size = OmegaConf.select(study, "training_size")
-    size = size if size is None else f"{float(size):g}"
+    with of("study.training_size"):
+        size = size if size is None else f"{float(size):g}"
     if not battery.forces and size not in (sizes := [f"{i:g}" for i in battery.impulses]):
         raise ValueError(f"study.training_size must be one of {', '.join(sizes)}, got {size}.")
     for key in ("beside", "row_seeds"):
@@ -92,8 +96,9 @@ def plan(study: DictConfig) -> list[Run]:
         for seed in (OmegaConf.select(study, "row_seeds") or {}).get(row, study.seeds):
             with of(f"study.rows.{row}"):
                 cfg = training([*study.base, *overrides], seed, study)
+                trained = training_digest(cfg)
             beside = _beside(study, row, seed)
-            tests = _tests(study, cfg, beside)
+            tests = _tests(study, trained, beside)
             if beside is not None:
                 _check_switched(str(row), cfg, beside, tests)
             runs.append(Run(str(row), int(seed), cfg, beside, tests))
@@ -118,6 +123,10 @@ def training(overrides: Sequence[str], seed: int, study: DictConfig) -> DictConf
     own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
     cfg = compose("train", overrides=[*own, *overrides])
     check_config(cfg)
+    if cfg.seed != seed:
+        raise ValueError(f"seed must be left to seeds and row_seeds of the study, got {cfg.seed}.")
+    if cfg.resume is not None:
+        raise ValueError(f"resume must be null, a study goes on by itself, got {cfg.resume}.")
     return cfg
 
 
@@ -128,21 +137,37 @@ def of(key: str) -> Iterator[None]:
         yield
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ValueError(f"{key}: {error}") from error
+    except (AttributeError, TypeError) as error:
+        raise ValueError(f"{key}: a value may be of another kind than it takes: {error}") from error
 
 
-def _check_lists(study: DictConfig) -> None:
-    """Refuses a study without runs, and single values where lists are read."""
-    if not isinstance(study.rows, DictConfig) or not study.rows:
+def _check_kinds(study: DictConfig) -> None:
+    """Refuses a study without runs, and values of another kind than it has."""
+    for key in ("rows", "tests", "beside", "row_seeds"):
+        if (table := study.get(key)) is not None and not isinstance(table, DictConfig):
+            raise ValueError(f"study.{key} must be a table, NAME: VALUE, got {table}.")
+    if not study.rows:
         raise ValueError(f"study.rows must be at least one NAME: [OVERRIDES], got {study.rows}.")
-    lists = {"base": study.base, **{f"rows.{row!s}": each for row, each in study.rows.items()}}
-    seeds = {f"row_seeds.{row!s}": each for row, each in (study.get("row_seeds") or {}).items()}
-    seeds["seeds"] = study.seeds
+    if not isinstance(study.battery, DictConfig) or "name" not in study.battery:
+        raise ValueError(f"study.battery must be {{name: ..., ...}}, got {study.battery}.")
+    tests = {key: each for key, each in _by_name(study, "tests").items() if each is not None}
+    lists = {"base": study.base, **_by_name(study, "rows"), **tests}
+    seeds = {"seeds": study.seeds, **_by_name(study, "row_seeds")}
     for key, values in (lists | seeds).items():
         if not isinstance(values, ListConfig):
             raise ValueError(f"study.{key} must be a list, got {values}.")
+    for key, values in lists.items():
+        if not all(isinstance(override, str) for override in values):
+            raise ValueError(f"study.{key} must be a list of overrides, KEY=VALUE, got {values}.")
     for key, values in seeds.items():
-        if not values or any(type(seed) is not int for seed in values):
-            raise ValueError(f"study.{key} must be whole numbers, at least one, got {values}.")
+        if not values or any(type(seed) is not int or seed < 0 for seed in values):
+            raise ValueError(f"study.{key} must be whole numbers from 0 on, got {values}.")
+    frames = study.total_frames
+    check_number(frames, "study.total_frames", lambda x: 0 < x < math.inf, "be a positive number")
+
+
+def _by_name(study: DictConfig, key: str) -> dict[str, Any]:
+    return {f"{key}.{name!s}": each for name, each in (study.get(key) or {}).items()}
 
 
 def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConfig] | None:
@@ -161,7 +186,11 @@ def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConf
             if other != SCRIPT:
                 checkpoint_of(other)
             return str(role), other
-        return str(role), training(list(other), seed, study)
+        if not isinstance(other, ListConfig):
+            raise ValueError(f"it must be a name or a list of overrides, got {other}.")
+        cfg = training(list(other), seed, study)
+        training_digest(cfg)
+        return str(role), cfg
 
 
 def _check_switched(
@@ -184,10 +213,10 @@ def _check_switched(
 
 
 def _tests(
-    study: DictConfig, cfg: DictConfig, beside: tuple[str, str | DictConfig] | None
+    study: DictConfig, trained: str, beside: tuple[str, str | DictConfig] | None
 ) -> tuple[Test, ...]:
     wanted: dict[str, Any] = {
-        "training": training_digest(cfg),
+        "training": trained,
         "measures": MEASURES,
         "battery": asdict(battery_of(study)),
         "training_size": OmegaConf.select(study, "training_size"),
@@ -204,8 +233,10 @@ def _tests(
         env_cfg, more = None, {}
         if overrides is not None:
             with of(f"study.tests.{title}"):
-                env_cfg = compose("train", overrides=[*study.base, *overrides]).env
-            more = {"test": env_digest(env_cfg)}
+                test_cfg = compose("train", overrides=[*study.base, *overrides])
+                check_config(test_cfg)
+                env_cfg = test_cfg.env
+                more = {"test": env_digest(env_cfg)}
         tests.append(Test(str(title), env_cfg, digest(wanted | more)))
     return tuple(tests)
 
@@ -214,11 +245,14 @@ def training_digest(cfg: DictConfig) -> str:
     """Tells a training from all others."""
     wanted = {"config": OmegaConf.to_yaml(cfg, resolve=True), "env": env_digest(cfg.env)}
     if cfg.warm_start is not None:
-        wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start))
-    losses = (cfg.get("auxiliary_losses") or {}).values()
-    teachers = [loss.teacher for loss in losses if "teacher" in loss]
+        wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start, key="warm_start"))
+    losses = (cfg.get("auxiliary_losses") or {}).items()
+    teachers = {name: loss.teacher for name, loss in losses if "teacher" in loss}
     if teachers:
-        paths = [checkpoint_of(str(run), key="teacher") for run in teachers]
+        paths = [
+            checkpoint_of(str(run), key=f"auxiliary_losses.{name}.teacher")
+            for name, run in teachers.items()
+        ]
         wanted["teachers"] = " ".join(map(file_digest, paths))
     return digest(wanted)
 

@@ -12,9 +12,11 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from recipes.one_line import in_one_line
+from recipes.run_folder import VERSION
 from recipes.study_plan import SCRIPT, Run, Test, battery_of, in_test, run_folder, shown
 from recipes.tested import begins_kneeling, load_run
 from recipes.train import run_training
+from zfall import checkpoint
 from zfall.evaluation.ablation import kneel_figures, planar_figures
 from zfall.evaluation.battery import run_battery
 from zfall.evaluation.plots.curves import POINTS
@@ -67,10 +69,14 @@ def mark_failed(run: Run, test: Test, error: Exception, runs: Path) -> None:
 
 
 def train(cfg: DictConfig, folder: Path) -> None:
-    """Trains in a folder, or goes on there; a process that wants the same waits."""
+    """Trains in a folder, or goes on there; a process that wants the same waits.
+
+    What another version of this program began is begun anew.
+    """
     folder.parent.mkdir(parents=True, exist_ok=True)
+    last = folder / "checkpoints" / "last.pt"
     with FileLock(folder.with_suffix(".lock")):
-        if not (folder / "checkpoints" / "last.pt").exists():
+        if not last.exists() or checkpoint.load(last)["run"].get("version") != VERSION:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
         if not run_training(cfg, folder, Console(quiet=True)):

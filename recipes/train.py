@@ -17,10 +17,10 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from recipes.config import check_config
 from recipes.learner import Learner
 from recipes.metrics import batch_metrics
 from recipes.one_line import one_line_errors, shell_line, shown_path, start
-from recipes.ranges import check_config
 from recipes.run_folder import RunFolder, check_version, removed_if_unused, write_config
 from recipes.showcase import show
 from recipes.tested import check_holds_run

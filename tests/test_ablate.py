@@ -17,8 +17,10 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 from recipes import study_plan, study_runs
+from recipes.run_folder import VERSION
 from recipes.study_plan import Run, battery_of, in_test, plan
 from tests.shell import run
+from zfall import checkpoint
 from zfall.evaluation.battery import battery_env
 
 STUDY = """
@@ -125,7 +127,7 @@ def test_a_study_killed_and_started_again_gives_the_same_table(studies, tmp_path
 
 def test_rows_that_are_the_same_are_refused(studies, tmp_path):
     path = tmp_path / "own" / "study" / "tiny.yaml"
-    path.write_text(STUDY.replace("[symmetry=augmentation]", "[seed=0]"))
+    path.write_text(STUDY.replace("[symmetry=augmentation]", "[symmetry=none]"))
     done = run("ablate", *studies, "study=tiny")
     assert done.returncode != 0
     assert "rows must differ, mirrored (seed 0) and none (seed 0) are the same" in done.stderr
@@ -210,9 +212,24 @@ def test_what_no_policy_can_stand_beside_is_refused(beside):
         ),
         ({"rows": {"a": ["+loss.clip=1"]}}, "study.rows.a: loss.clip is not a key of the config"),
         ({"rows": {"a": ["num_envs=0"]}}, "study.rows.a: num_envs must be at least 1, got 0"),
-        ({"seeds": []}, r"study.seeds must be whole numbers, at least one, got \[\]"),
+        ({"rows": {"a": ["seed=5"]}}, "study.rows.a: seed must be left to seeds"),
+        ({"rows": {"a": ["resume=x"]}}, "study.rows.a: resume must be null"),
+        ({"rows": {"a": [3]}}, "study.rows.a must be a list of overrides"),
+        ({"rows": {"a": ["warm_start=nope"]}}, "study.rows.a: warm_start must be a run folder"),
+        ({"rows": {"a": ["+auxiliary_losses.x=3"]}}, "study.rows.a: auxiliary_losses.x must be a"),
+        ({"rows": {"a": ["augmentation=3"]}}, "study.rows.a: augmentation must be a table"),
+        ({"rows": {"a": ["+loss._target_=no.X"]}}, "study.rows.a: loss._target_ must name some"),
+        ({"rows": {"a": ["scheduler.min_lr=x"]}}, "study.rows.a: scheduler.min_lr must not be"),
+        ({"rows": {"a": ["env.base_env=3"]}}, "study.rows.a: a value may be of another kind"),
+        ({"tests": {"n": "env=icub_balance"}}, "study.tests.n must be a list, got env=icub"),
+        ({"tests": {"n": ["+minibatch=7"]}}, "study.tests.n: minibatch is not a key"),
+        ({"tests": [1]}, r"study.tests must be a table, NAME: VALUE, got \[1\]"),
+        ({"battery": "planar"}, "study.battery must be {name: ..., ...}, got planar"),
+        ({"training_size": "abc"}, "study.training_size: could not convert"),
+        ({"beside": {"none": {"kneel": 5}}}, "study.beside.none: it must be a name or a list"),
+        ({"seeds": []}, r"study.seeds must be whole numbers from 0 on, got \[\]"),
         ({"row_seeds": {"none": ["x"]}}, "study.row_seeds.none must be whole numbers"),
-        ({"total_frames": 0}, "study.rows.none: total_frames must be a positive number, got 0"),
+        ({"total_frames": 0}, "study.total_frames must be a positive number, got 0"),
         ({"tests": {"n": ["env.transforms.nois=null"]}}, "study.tests.n: Could not override"),
         ({"beside": {"none": {"recover": "nope"}}}, "study.beside.none: run must be a run folder"),
         (
@@ -288,6 +305,25 @@ def test_a_training_depends_on_the_weights_of_its_teacher(compose_config, tmp_pa
         (tmp_path / "checkpoints" / "last.pt").write_bytes(content)
         found.append(study_plan.training_digest(cfg))
     assert found[0] == found[2] != found[1]
+
+
+@pytest.mark.parametrize(("version", "kept"), [(VERSION, True), (VERSION - 1, False)])
+def test_what_another_version_began_begins_anew(
+    monkeypatch, compose_config, tmp_path, version, kept
+):
+    """Else it would be refused for good, and the row never finished."""
+    folder = tmp_path / "run"
+    (folder / "checkpoints").mkdir(parents=True)
+    checkpoint.save(folder / "checkpoints" / "last.pt", {"run": {"version": version}})
+    (folder / "metrics.csv").write_text("update,falls\n1,3\n")
+    found = []
+    monkeypatch.setattr(
+        study_runs,
+        "run_training",
+        lambda cfg, folder, console: found.append(list(folder.iterdir())) or True,
+    )
+    study_runs.train(compose_config(), folder)
+    assert bool(found[0]) == kept
 
 
 @pytest.mark.parametrize("key", ["beside", "row_seeds"])

@@ -142,7 +142,7 @@ def test_an_own_ppo_takes_part_in_training(tmp_path, monkeypatch, compose_config
     for below in (1.0, 0.0):
         own = ("+loss._target_=my_ppo.OptimisticPPOLoss", f"+loss.below={below}")
         learner, plain = (Learner(compose_config(*small, *more)) for more in (own, ()))
-        batch = plain.collect()
+        batch = learner.collect()
         with torch.no_grad():
             plain.advantage(batch)
         advantage = batch["advantage"]

@@ -10,7 +10,6 @@ from torchrl.objectives import LossModule
 
 from recipes.learner import Learner
 from zfall.losses.burn_in import burnt_in
-from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
@@ -507,26 +506,6 @@ class LossOfItsOwn(LossModule):
         self.actor, self.decoder = actor, torch.nn.Linear(3, 1)
 
 
-class PPOOfItsOwn(PenalizedPPOLoss):
-    """With a number that nothing would train."""
-
-    def __init__(self, *networks, **values):
-        super().__init__(*networks, **values)
-        self.bias = torch.nn.Parameter(torch.zeros(()))
-
-
-class CountingPPO(PenalizedPPOLoss):
-    """PPO that remembers how often it was asked."""
-
-    def __init__(self, *networks, first: int, **values):
-        super().__init__(*networks, **values)
-        self.register_buffer("times", torch.tensor(first))
-
-    def forward(self, tensordict):
-        self.times += 1
-        return super().forward(tensordict)
-
-
 FAULTS = [
     (["auxiliary_share=0"], r"auxiliary_share must lie in \(0, 1\], got 0"),
     (["critic.normalize=shared", "actor.normalize=false"], "needs an actor that has a normaliser"),
@@ -537,16 +516,12 @@ FAULTS = [
      "a mirrored observation must be one vector"),
     (["+auxiliary_losses.own={_target_: tests.test_learner.LossOfItsOwn}"],
      "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
-    (["+loss._target_=tests.test_learner.Nothing"],
-     "loss._target_ must name something that Python can import, got tests.test_learner.Nothing"),
     (["+auxiliary_losses.own={_target_: nowhere.Loss}"],
      r"auxiliary_losses.own._target_ must name .* got nowhere.Loss: No module named 'nowhere'"),
     (["+auxiliary_losses.own=3"], "auxiliary_losses.own must be a table whose _target_ .* got 3"),
-    (["augmentation={_target_: 4}"], "augmentation must be a table whose _target_"),
-    (["+loss._target_=torchrl.objectives.ClipPPOLoss"],
-     "loss._target_ must name a class that is a zfall.losses.ppo.PenalizedPPOLoss, got torchrl"),
-    (["+loss._target_=tests.test_learner.PPOOfItsOwn"],
-     "loss must have no parameters but the actor's and the critic's, .* its bias"),
+    (["augmentation={_target_: 4}"], "augmentation._target_ must be the dotted path .*, got 4"),
+    (["+auxiliary_losses.own={_target_: math.pi}"], "own._target_ must name .* it cannot be called"),
+    (["+auxiliary_losses.own={_target_: a..b}"], "auxiliary_losses.own._target_ must name some"),
     (["caps=atalante", "+auxiliary_losses.caps.neighbour_key=near"],
      "auxiliary_losses.caps must read what env or networks give, not near"),
     (["caps=atalante", "symmetry=augmentation", "+auxiliary_losses.caps.neighbour_key=near"],
@@ -584,18 +559,6 @@ def test_what_a_loss_and_the_scheduler_remember_is_resumed(compose_config):
     resumed.load_state_dict(learner.state_dict())
     assert resumed.auxiliary[0].times == 6
     assert resumed.scheduler.last_kl == learner.scheduler.last_kl > 0
-
-
-def test_what_an_own_ppo_remembers_is_resumed(compose_config):
-    """Two passes of three minibatches, begun at 100."""
-    own = ("+loss._target_=tests.test_learner.CountingPPO", "+loss.first=100")
-    sizes = ("num_envs=4", "rollout_steps=4", "epochs=2", "minibatches=3")
-    learner = Learner(compose_config(*own, *sizes))
-    learner.learn(learner.collect())
-    assert learner.loss.times == 106
-    resumed = Learner(compose_config(*own, *sizes))
-    resumed.load_state_dict(learner.state_dict())
-    assert resumed.loss.times == 106
 
 
 class Misnamed(LossModule):
