@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDictBase, unravel_key
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel
@@ -15,15 +15,12 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
+from recipes.auxiliary import buffers_of, build, check_parameters, check_reads
 from recipes.averaging import moving_average
-from recipes.digests import weights_digest
-from recipes.objective import ppo_loss, target_of
+from recipes.objective import ppo_loss
 from recipes.ranges import check_finite, check_ranges
-from recipes.tested import read_teacher
-from zfall.envs.mirror import Mirror, mirror_action, mirror_vector
 from zfall.envs.model import identity_of
 from zfall.envs.threads import physics_first
-from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
@@ -61,7 +58,9 @@ class Learner:
         ]
         self.augmentation = None
         if cfg.augmentation:
-            self.augmentation = self._build(cfg.augmentation, [self.actor, self.critic])
+            self.augmentation = self._build(
+                cfg.augmentation, [self.actor, self.critic], place="augmentation"
+            )
         for name, loss in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
             key = getattr(loss, "neighbour_key", None)
             if self.augmentation is not None and key not in (None, "observation_neighbour"):
@@ -93,14 +92,12 @@ class Learner:
             )
         self.loss = ppo_loss(loss, self.actor, self.critic)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
-        for name, auxiliary in zip(cfg.auxiliary_losses, self.auxiliary, strict=True):
-            known = {parameter.data_ptr() for parameter in self.parameters}
-            own = [k for k, v in auxiliary.named_parameters() if v.data_ptr() not in known]
-            if own:
-                raise ValueError(
-                    f"auxiliary_losses.{name} must have no parameters but the actor's and the "
-                    f"critic's, nothing would train or save its {own[0]}."
-                )
+        reading: dict[str, Any] = {
+            f"auxiliary_losses.{name}": loss
+            for name, loss in zip(cfg.auxiliary_losses, self.auxiliary, strict=True)
+        }
+        for place, module in {"loss": self.loss, **reading}.items():
+            check_parameters(module, place, self.parameters)
         self.optimizer = instantiate(cfg.optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
         if self.scheduler and not (
@@ -114,8 +111,6 @@ class Learner:
             )
         inputs = ["observation", "observation_critic", "is_init", *hidden]
         self._learned = [*inputs, "action", "action_log_prob"]
-        reading = dict(zip(cfg.auxiliary_losses, self.auxiliary, strict=True))
-        reading = {f"auxiliary_losses.{name}": loss for name, loss in reading.items()}
         if type(self.loss) is not PenalizedPPOLoss:  # what that reads is there
             reading["loss"] = self.loss
         wanted = [key for loss in reading.values() for key in loss.in_keys]
@@ -135,49 +130,15 @@ class Learner:
         self.carrier = self.env.reset()
         given = {*self.carrier.keys(True, True), *self._acting.out_keys, *self.env.reward_keys}
         given |= {"state_value", "advantage", "value_target"}
-        for place, each in reading.items():
-            for key in each.in_keys:
-                here = unravel_key(key[1:]) if isinstance(key, tuple) and key[0] == "next" else key
-                if here not in given:
-                    raise ValueError(f"{place} must read what env or networks give, not {key}.")
+        check_reads(reading, given)
         self.frames = self.updates = 0
 
-    def _build(self, config: DictConfig, *args: object, place: str = "augmentation") -> Any:
-        """A loss or augmentation, given what it asks for: ``spans``, ``mirrors``, ``teacher``.
-
-        ``spans`` say where each quantity lies in the observation; ``mirrors`` reflect the keys
-        that the class names as ``mirrored``; the teacher, a run, is read.
-        """
-        target = target_of(config, place)
-        asked = inspect.signature(target).parameters
-        known: dict[str, Any] = {}
-        if "spans" in asked:
-            known["spans"] = self._spans("observation")[0]
-        if "mirrors" in asked:
-            known["mirrors"] = {key: self._mirror(key) for key in target.mirrored}
-        if "teacher" in asked:
-            teacher = read_teacher(config.get("teacher"), self.cfg, f"{place}.teacher")
-            known["teacher"], self._teachers[place] = teacher, weights_digest(teacher)
-        return instantiate(config, *args, **known)
-
-    def _spans(self, key: str) -> tuple[dict[str, slice], Any]:
-        """Where quantities lie in an observation, and the transform that lines them up."""
-        vectors = [t for t in self.env.transform if t.out_keys == [key] and hasattr(t, "keys")]
-        if not vectors:
-            return {}, None
-        return vector_spans(self.env.observation_spec, vectors[-1].keys), vectors[-1]
-
-    def _mirror(self, key: str) -> Mirror:
-        base = self.env.base_env
-        if key == "action":
-            return mirror_action(base.robot, self.env.action_spec.shape[-1])
-        spans, vector = self._spans(key)
-        size = self.env.observation_spec[key].shape[-1]
-        if max((span.stop for span in spans.values()), default=0) != size:
-            raise ValueError(
-                f"a mirrored {key} must be one vector of quantities, got {size} values."
-            )
-        return mirror_vector(base.robot, spans, base.joint_range, getattr(vector, "affine", None))
+    def _build(self, config: DictConfig, *args: object, place: str) -> Any:
+        """A loss or augmentation; what its teacher was is kept."""
+        module, teacher = build(config, place, self.env, self.cfg, *args)
+        if teacher is not None:
+            self._teachers[place] = teacher
+        return module
 
     @property
     def policy(self) -> torch.nn.Module:
@@ -268,17 +229,9 @@ class Learner:
         return some
 
     def _buffers(self) -> dict[str, torch.Tensor]:
-        """What losses and the augmentation remember, by place."""
         modules = {"loss": self.loss, "augmentation": self.augmentation}
         modules |= dict(zip(self.cfg.auxiliary_losses, self.auxiliary, strict=True))
-        networks = {b.data_ptr() for net in (self.actor, self.critic) for b in net.buffers()}
-        return {
-            f"{place}.{name}": buffer
-            for place, module in modules.items()
-            if isinstance(module, torch.nn.Module)
-            for name, buffer in module.named_buffers()
-            if buffer.data_ptr() not in networks  # a loss holds the networks' under other names
-        }
+        return buffers_of(modules, (self.actor, self.critic))
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""

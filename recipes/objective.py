@@ -25,8 +25,7 @@ def ppo_loss(cfg: DictConfig, actor: torch.nn.Module, critic: torch.nn.Module) -
         actor, critic: the networks that it trains.
 
     Raises:
-        ValueError: on what ``check_loss`` refuses, or a class with parameters beside the
-            networks', which nothing would train.
+        ValueError: on what ``check_loss`` refuses.
     """
     check_loss(cfg)
     values = {
@@ -48,13 +47,6 @@ def ppo_loss(cfg: DictConfig, actor: torch.nn.Module, critic: torch.nn.Module) -
         own.setdefault("_target_", f"{PenalizedPPOLoss.__module__}.{PenalizedPPOLoss.__name__}")
     values = {key: value for key, value in values.items() if key not in own}
     loss: PenalizedPPOLoss = instantiate(own, actor, critic, **values)
-    known = {id(weight) for network in (actor, critic) for weight in network.parameters()}
-    more = [name for name, weight in loss.named_parameters() if id(weight) not in known]
-    if more:
-        raise ValueError(
-            "loss must have no parameters but the actor's and the critic's, nothing would train "
-            f"or save its {more[0]}."
-        )
     loss.set_keys(sample_log_prob="action_log_prob")
     return loss
 
