@@ -112,6 +112,44 @@ def test_angular_velocity_is_in_body_axes_and_velocity_in_world_axes(make_base):
     assert direction[1].item() < -0.9
 
 
+def test_forces_add_up_in_their_step_and_are_gone_after_it(make_base):
+    """In free flight the momentum grows by what acts: newtons x seconds, of each world its own."""
+    env = make_base(num_envs=2, control_dt=0.04)
+    env.simulation.model.opt.gravity[:] = 0
+    td = env.reset(TensorDict({"start": {"base_position": [[0.0, 0.0, 2.0]] * 2}}, batch_size=[2]))
+    torso, pelvis = env.push_target("torso"), env.push_target("pelvis")
+    foreign = torch.zeros(2, 10, env.num_bodies, 6)
+    foreign[:, :, torso, 2] = 1.0
+    x, y = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+    def momentum_gained(*forces, wrench=None):
+        """Of two steps: the sensors of one are a physics step old."""
+        nonlocal td
+        before, step = td["linear_momentum"], td.copy()
+        step["target"] = env.stand_position.expand(2, -1)
+        if wrench is not None:
+            step["push", "wrench"] = wrench
+        for target, force in forces:
+            env.add_force(step, target, force)
+        td = env.step(step)["next"].copy()
+        td["target"] = env.stand_position.expand(2, -1)
+        td = env.step(td)["next"]
+        return (td["linear_momentum"] - before) / 0.04
+
+    each = torch.tensor([torso, pelvis])
+    gained = momentum_gained((torso, 3.0 * x), (each, 2.0 * y.expand(2, 10, 3)), (torso, x))
+    assert_close(gained, (4.0 * x + 2.0 * y).expand(2, 3), atol=1e-2, rtol=0)
+    z = torch.tensor([0.0, 0.0, 1.0])
+    assert_close(
+        momentum_gained((pelvis, 5.0 * x), wrench=foreign),
+        (5 * x + z).expand(2, 3),
+        atol=1e-2,
+        rtol=0,
+    )
+    assert_close(momentum_gained(), torch.zeros(2, 3), atol=1e-2, rtol=0)
+    assert foreign.count_nonzero() == 20  # added to elsewhere
+
+
 def test_start_without_height_puts_the_lowest_corner_on_the_floor(make_base):
     env = make_base(num_envs=16)
     angle = env.stand_position + 0.2 * torch.randn(16, 20)

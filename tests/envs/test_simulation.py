@@ -34,7 +34,8 @@ def test_step_is_s_times_mj_step_with_the_control_of_each(model):
     start = simulation.qpos.clone()
     wrench = torch.zeros(3, S, model.nbody - 1, 6)
     wrench[1, 2:5, 1, 0] = 20.0
-    simulation.step(control, wrench)
+    simulation.wrench.copy_(wrench)
+    simulation.step(control)
     for world in range(3):
         data = mujoco.MjData(model)
         data.qpos[:] = start[world]

@@ -117,12 +117,16 @@ class PhysicsSimulation:
     Args:
         physics: whose model and data are stepped.
         substeps: physics steps S in one call of ``step``.
+
+    Attributes:
+        wrench: what acts in the coming call of ``step``; see ``Simulation``.
     """
 
     def __init__(self, physics: Physics, substeps: int):
         self.physics, self.substeps = physics, substeps
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._sensors = torch.zeros(1, substeps, self.model.nsensordata, dtype=torch.float64)
+        self.wrench = torch.zeros(1, substeps, self.model.nbody - 1, 6, dtype=torch.float64)
         self.diverged = torch.zeros(1, dtype=torch.bool)
         self.substates = tuple(
             torch.zeros(1, substeps, size, dtype=torch.float64)
@@ -144,11 +148,11 @@ class PhysicsSimulation:
         """Velocities ``(1, nv)`` float64."""
         return torch.from_numpy(self.physics.data.qvel)[None]
 
-    def step(self, control: Tensor, wrench: Tensor | None = None) -> Tensor:
+    def step(self, control: Tensor) -> Tensor:
         """Takes S physics steps; see ``Simulation.step``."""
         model, data = self.model, self.physics.data.ptr
         controls, sensors = control[0].numpy(), self._sensors[0].numpy()
-        wrenches = np.zeros(self.substeps) if wrench is None else wrench[0].numpy()
+        wrenches = self.wrench[0].numpy()
         by_hand, warnings = data.xfrc_applied.copy(), data.warning.number.sum()
         data.qacc_warmstart[:] = 0.0  # each control step starts the solver cold, as there
         largest, done = 0.0, 0

@@ -164,7 +164,8 @@ class HumanoidEnv(EnvBase):
         # Joints in the order of the model's actuators, if that is another one.
         order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
         self._to_actuators = slice(None) if order == sorted(order) else torch.tensor(order)
-        self._wrench = torch.zeros(num_envs, substeps, self.num_bodies, 6)
+        self._worlds = torch.arange(num_envs)
+        self._pushed: set[int] = set()  # bodies whose wrench may not be 0
         places = (0, 0)  # where the ball's state begins in positions and velocities
         if ball:
             joint = model.joint("ball")
@@ -189,16 +190,38 @@ class HumanoidEnv(EnvBase):
             )
         return self.push_targets[point]
 
-    def wrench_of(self, tensordict: TensorDictBase) -> Tensor:
-        """The wrench ``(N, S, bodies, 6)`` of the coming step so far, for more to be added to.
+    def add_force(
+        self, tensordict: TensorDictBase, target: int | Tensor, force: Tensor
+    ) -> TensorDictBase:
+        """Lets a force act in the coming step, besides what ``("push", "wrench")`` holds already.
 
-        Kept by the env and lent for one step: what ``("push", "wrench")`` holds, which stays as it
-        is, or zeros.
+        Args:
+            tensordict: of the step. It then holds the sum, in a buffer lent for this step.
+            target: what it acts on, as from ``push_target``; of each world ``(N,)`` or of all.
+            force: in each physics step ``(N, S, 3)`` [N; world].
         """
+        wrench = self.simulation.wrench
         there = tensordict.get(("push", "wrench"), None)
-        if there is None:
-            return self._wrench.zero_()
-        return there if there is self._wrench else self._wrench.copy_(there)
+        if there is not wrench:
+            self._set_wrench(there)
+            tensordict["push", "wrench"] = wrench
+        if isinstance(target, int):
+            wrench[:, :, target, :3] += force
+            self._pushed.add(target)
+        else:
+            wrench[self._worlds, :, target, :3] += force
+            self._pushed.update(target.unique().tolist())
+        return tensordict
+
+    def _set_wrench(self, value: Tensor | None) -> None:
+        """Writes what acts in the coming step ``(N, S, bodies, 6)``, nothing if ``None``."""
+        if value is not None:
+            self.simulation.wrench.copy_(value)
+            self._pushed = set(range(self.num_bodies))
+            return
+        for body in self._pushed:  # all of them would take seven times as long
+            self.simulation.wrench[:, :, body] = 0.0
+        self._pushed = set()
 
     def record_substeps(self, keys: Iterable[str]) -> None:
         """Makes the env also write what ``keys`` are after each of the S physics steps.
@@ -231,8 +254,10 @@ class HumanoidEnv(EnvBase):
         if control is None:
             control = tensordict["target"][:, None].expand(-1, self.substeps, -1)
         wrench = tensordict.get(("push", "wrench"), None)
+        if wrench is not self.simulation.wrench:
+            self._set_wrench(wrench)
         self._disturb(tensordict)
-        sensors = self.simulation.step(control[..., self._to_actuators], wrench)
+        sensors = self.simulation.step(control[..., self._to_actuators])
         observed = self._observe(sensors)
         diverged = self.simulation.diverged
         if diverged.any():  # such a world ends here, in a state the learner can read
@@ -264,9 +289,10 @@ class HumanoidEnv(EnvBase):
             observed = self._observe(sensors)
         else:  # a few new rows among what the others had
             index = rows.nonzero()[:, 0]
-            observed, new = self._observed.copy(), self._observe(sensors, index)
-            for key, value in new.items(True, True):
-                observed.set(key, self._observed.get(key).index_copy(0, index, value))
+            observed = self._observed.clone()
+            new = dict(self._observe(sensors, index).items(True, True))
+            for key, value in observed.items(True, True):
+                value.index_copy_(0, index, new[key])
         return self._mark(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 
     def _observe(self, sensors: Tensor, index: Tensor | None = None) -> TensorDictBase:

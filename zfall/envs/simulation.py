@@ -17,6 +17,8 @@ _INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_AP
 # Fields that others are derived from.
 _CONSTANTS = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
+CHUNKS = 32  # of worlds, for each thread: the last one at work keeps the others waiting
+
 # No state or sensor of a sound world comes near it, in SI units; not a number is not below it.
 BOUND = 1e6
 
@@ -57,6 +59,9 @@ class Simulation:
     Attributes:
         qpos: positions ``(N, nq)`` float64, in MuJoCo's order.
         qvel: velocities ``(N, nv)`` float64.
+        wrench: force and torque on each body but the world in each step of the coming call of
+            ``step`` ``(N, S, nbody - 1, 6)`` float64 [N, N m; world axes, at the body's center of
+            mass]; it stays as it is written.
     """
 
     def __init__(
@@ -87,6 +92,8 @@ class Simulation:
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
         self.qvel = self._state[:, end : end + model.nv]
+        # The world body, which comes first, keeps its zeros.
+        self.wrench = self._inputs[:, :, model.nu + 6 :].unflatten(-1, (-1, 6))
 
     @property
     def substates(self) -> tuple[Tensor, Tensor]:
@@ -98,28 +105,21 @@ class Simulation:
         end = 1 + self.model.nq
         return self._states[..., 1:end], self._states[..., end : end + self.model.nv]
 
-    def step(self, control: Tensor, wrench: Tensor | None = None) -> Tensor:
-        """Takes S physics steps in every world.
+    def step(self, control: Tensor) -> Tensor:
+        """Takes S physics steps in every world, under the forces in ``wrench``.
 
         Args:
             control: actuator inputs ``(N, S, nu)``.
-            wrench: force and torque on each body but the world ``(N, S, nbody - 1, 6)``
-                [N, N m; world axes, at the body's center of mass], or ``None`` for none.
 
         Returns:
             All sensor values of the S steps ``(N, S, nsensordata)`` float64, a buffer that the
             next call overwrites. Those of step i describe the state before it and the forces in
             it. Rows that ``diverged`` are not to be used.
         """
-        nu = self.model.nu
         self._settle()
         if self._largest is not None:  # still reads what is overwritten now
             self._largest.result()
-        self._inputs[:, :, :nu] = control
-        if wrench is None:
-            self._inputs[:, :, nu:] = 0.0
-        else:  # the world body, which comes first, keeps its zeros
-            self._inputs[:, :, nu + 6 :] = wrench.flatten(-2)
+        self._inputs[:, :, : self.model.nu] = control
         if self._stepped is None:
             self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
         else:
@@ -253,6 +253,7 @@ class Simulation:
             inputs.numpy(),
             control_spec=_INPUT,
             skip_checks=True,
+            chunk_size=max(1, len(state) // (CHUNKS * self.threads)),
             nstep=inputs.shape[1],
             state=states.numpy(),
             sensordata=sensors.numpy(),

@@ -20,7 +20,7 @@ def wrenches(env, seconds: float) -> torch.Tensor:
     """Wrench on every body at every physics step ``(N, T, bodies, 6)``."""
     seen = []
     base, inner = env.base_env, env.base_env._step
-    base._step = lambda td: seen.append(td["push", "wrench"].clone()) or inner(td)
+    base._step = lambda td: seen.append(td["push", "wrench"].float()) or inner(td)
     td = env.reset()
     for _ in range(round(seconds / base.control_dt)):
         td["action"] = torch.zeros(base.num_envs, 20)

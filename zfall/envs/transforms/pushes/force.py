@@ -33,9 +33,7 @@ class PushForces:
         self.physics_dt, self.shape = env.physics_dt, (env.num_envs,)
         self.begin = env.physics_dt * torch.arange(env.substeps, dtype=torch.float64)
         self.impulse_unit = env.robot.impulse_unit
-        self._wrench_of = env.wrench_of
-        self._worlds = torch.arange(env.num_envs)[:, None]
-        self._steps = torch.arange(env.substeps)
+        self._add_force = env.add_force
         self._acted: dict[tuple[str, str], Tensor] = {}  # from the inverse pass to the step's end
 
     def apply(
@@ -56,18 +54,15 @@ class PushForces:
             body: index of the point each acts at ``(N, E)``, into ``points``.
         """
         share = force_share(self.begin, self.physics_dt, start, duration, self.profile)
-        wrench = self._wrench_of(tensordict)
         if len(self.bodies) == 1:
             act = torch.einsum("nes,nec->nsc", share, force)
-            wrench[:, :, int(self.bodies), :3] += act
+            self._add_force(tensordict, int(self.bodies), act)
         else:
             act = torch.zeros(*share.shape[::2], 3)
             for event in range(share.shape[1]):
-                target = self.bodies[body[:, event]][:, None]
                 part = share[:, event, :, None] * force[:, event, None]
-                wrench[self._worlds, self._steps, target, :3] += part
+                self._add_force(tensordict, self.bodies[body[:, event]], part)
                 act += part
-        tensordict["push", "wrench"] = wrench
         peak = force.norm(dim=-1) * (share > 1e-6).any(-1)
         impulse = self.profile.mean * (peak * duration).amax(1, keepdim=True).float()
         self._acted = {
