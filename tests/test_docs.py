@@ -11,6 +11,7 @@ import pytest
 import torch
 import yaml
 from hydra.utils import get_object, instantiate
+from torch import nn
 from torch.testing import assert_close
 from torchrl.envs import Transform
 
@@ -107,19 +108,41 @@ def test_an_own_reward_term_is_worth_what_it_says(tmp_path, monkeypatch, compose
     sys.modules.pop("my_terms")
 
 
-def learning_examples() -> list[str]:
-    """The blocks of learning.md: a loss, its test, and another PPO."""
+def learning_example(name: str) -> str:
+    """The block of learning.md that begins with the name of its file."""
     page = (ROOT / "docs" / "learning.md").read_text()
-    return re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (block,) = re.findall(rf"```python\n(# {name}\n.*?)```", page, re.DOTALL)
+    return block
+
+
+def test_an_own_actor_takes_part_in_training(tmp_path, monkeypatch, compose_config):
+    """The example of learning.md: its yaml is found, it explores by its Gaussian and it learns."""
+    (tmp_path / "my_actors.py").write_text(learning_example("my_actors.py"))
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "actor").mkdir()
+    page = (ROOT / "docs" / "learning.md").read_text()
+    (values,) = re.findall(r"```yaml\n(_target_: my_actors.*?)```", page, re.DOTALL)
+    (tmp_path / "actor" / "layer_norm.yaml").write_text(values)
+    own = (f"hydra.searchpath=[file://{tmp_path}]", "actor=layer_norm", "actor.width=64")
+    learner = Learner(compose_config(*own, "num_envs=8", "rollout_steps=8", "caps=atalante"))
+    batch = learner.collect()
+    params = learner.actor.get_submodule("module.0")(batch.select("observation"))
+    normal = torch.distributions.Normal(params["loc"], params["scale"])
+    assert_close(batch["action_log_prob"], normal.log_prob(batch["action"]).sum(-1))
+    weights = [layer.weight for layer in learner.actor.modules() if isinstance(layer, nn.Linear)]
+    assert [tuple(weight.shape[:1]) for weight in weights] == [(64,), (64,), (40,)]
+    before = [weight.clone() for weight in weights]
+    learner.learn(batch)
+    sys.modules.pop("my_actors")
+    assert all((weight != old).any() for weight, old in zip(weights, before, strict=True))
 
 
 def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_config):
     """The example of learning.md: with a large weight it keeps the actions small."""
-    module, test, _ = learning_examples()
-    (tmp_path / "my_losses.py").write_text(module)
+    (tmp_path / "my_losses.py").write_text(learning_example("my_losses.py"))
     monkeypatch.syspath_prepend(tmp_path)
     there: dict[str, Any] = {}
-    exec(test, there)  # its own test, which stands below it
+    exec(learning_example("test_my_losses.py"), there)  # its own test, which stands below it
     there["test_size_is_the_mean_square_of_the_mean_action"]()
     sizes = []
     for coeff in (0.0, 10.0):
@@ -135,7 +158,7 @@ def test_an_own_loss_takes_part_in_training(tmp_path, monkeypatch, compose_confi
 
 def test_an_own_ppo_takes_part_in_training(tmp_path, monkeypatch, compose_config):
     """The example of learning.md: with factor 1 it is PPO, with 0 bad actions teach nothing."""
-    (tmp_path / "my_ppo.py").write_text(learning_examples()[2])
+    (tmp_path / "my_ppo.py").write_text(learning_example("my_ppo.py"))
     monkeypatch.syspath_prepend(tmp_path)
     small = ("num_envs=8", "rollout_steps=8", "loss.normalize_advantage=null")
     losses = {}
