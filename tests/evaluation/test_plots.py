@@ -136,3 +136,23 @@ def test_curves_are_averaged_over_what_falls_into_a_bin():
         6.0,
         7.0,
     ]
+
+
+def test_the_legend_of_a_trace_covers_nothing(tmp_path, monkeypatch):
+    """Run folders are named by date and time: longer than the title leaves room for."""
+    drawn = []
+    save = Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, *a, **k: drawn.append(self) or save(self, *a, **k)
+    )
+    columns = ("time_s", "target", "position", "torque")
+    rows = pd.DataFrame([[0.0] * 4, [1.0] * 4], columns=columns)
+    names = ("runs/quickstart/2026-01-02_03-04-05-060708", "pose_hold")
+    path = tmp_path / "trace.png"
+    trace_plot(dict.fromkeys(names, rows), path, joint="left_hip_pitch", pushes=[(0.5, 0.6)])
+    (legend,) = drawn[0].legends
+    box = legend.get_window_extent()
+    assert [text.get_text() for text in legend.get_texts()] == list(names)
+    assert not any(box.overlaps(axes.get_tightbbox()) for axes in drawn[0].axes)
+    assert box.x0 >= 0
+    assert box.x1 <= drawn[0].bbox.x1

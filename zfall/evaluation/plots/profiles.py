@@ -24,7 +24,7 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
         path: file to write; its ending gives the format.
         title: above the plot.
     """
-    figure = Figure(figsize=(3.5, 2.7), layout="constrained")
+    figure = Figure(figsize=(3.5, 2.6 + 0.15 * len(runs)), layout="constrained")
     axes, most = figure.subplots(), 0.0
     for (name, trials), (style, grey) in zip(runs.items(), itertools.cycle(LINES), strict=False):
         table = success_table(trials)
@@ -41,5 +41,5 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
     axes.tick_params(labelsize=7)
     axes.set_title(title, fontsize=9)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
+    figure.legend(loc="outside lower center", fontsize=7, frameon=False)
     figure.savefig(path, dpi=300)

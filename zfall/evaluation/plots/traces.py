@@ -28,7 +28,7 @@ def trace_plot(
         joint: its name.
         pushes: when each begins and ends [s].
     """
-    figure = Figure(figsize=(3.5, 3.8), layout="constrained")
+    figure = Figure(figsize=(3.5, 3.7 + 0.15 * len(traces)), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
     labels = {"target": "target [rad]", "position": "position [rad]", "torque": "torque [N m]"}
     for axes, (key, label) in zip(panels, labels.items(), strict=True):
@@ -45,6 +45,7 @@ def trace_plot(
         axes.grid(alpha=0.3)
     title = f"{joint}; pushes are shaded" if pushes else f"{joint}; no push"
     panels[0].set_title(title, fontsize=8, loc="left")
-    panels[0].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
     panels[-1].set_xlabel("time [s]", fontsize=8)
+    names = panels[0].get_legend_handles_labels()
+    figure.legend(*names, loc="outside lower center", fontsize=7, frameon=False)
     figure.savefig(path, dpi=300)
