@@ -88,10 +88,16 @@ def main(cfg: DictConfig) -> None:
         if cfg.trial is not None:
             folder = tested[0].folder if len(tested) == 1 else output
             show_trial(battery, tested, cfg, console, folder)
+            remove_if_empty(output)
             return
         for each in tested:
             each.folder.mkdir(parents=True, exist_ok=True)
-    results = {each.name: run_or_read(battery, each, cfg, console) for each in tested}
+        try:
+            results = {each.name: run_or_read(battery, each, cfg, console) for each in tested}
+        finally:  # of what was refused nothing stays
+            for each in tested:
+                remove_if_empty(each.folder)
+                remove_if_empty(each.folder.parent)
     if len(tested) > 1:
         folder = output / "comparison" / setting_of(cfg)
         folder.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ from torchrl.objectives.value import GAE
 from recipes.auxiliary import buffers_of, build, check_parameters, check_reads
 from recipes.averaging import moving_average
 from recipes.objective import ppo_loss
-from recipes.ranges import check_finite, check_ranges
+from recipes.ranges import check_finite, check_ranges, check_task
 from zfall.envs.model import identity_of
 from zfall.envs.threads import physics_first
 from zfall.losses.advantage import RecurrentGAE
@@ -42,6 +42,7 @@ class Learner:
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.env = instantiate(cfg.env)
+        check_task(self.env)
         spec, action_spec = self.env.observation_spec, self.env.action_spec
         self.actor = instantiate(cfg.actor, spec, action_spec)
         self._average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))

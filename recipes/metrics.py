@@ -23,9 +23,12 @@ def batch_metrics(
     }
     if ended.any():  # else the columns keep the last value known
         metrics["episode_return"] = after["episode_reward"][ended].mean().item()
-        metrics["episode_seconds"] = after["step_count"][ended].float().mean().item() * control_dt
-    metrics |= {f"reward/{k}": v.mean().item() for k, v in after["reward_terms"].items()}
-    metrics |= {f"termination/{k}": int(v.sum()) for k, v in after["terminations"].items()}
+        if "step_count" in after.keys():
+            steps = after["step_count"][ended].float()
+            metrics["episode_seconds"] = steps.mean().item() * control_dt
+    # A task may have neither, or its own transforms in their place.
+    metrics |= {f"reward/{k}": v.mean().item() for k, v in after.get("reward_terms", {}).items()}
+    metrics |= {f"termination/{k}": int(v.sum()) for k, v in after.get("terminations", {}).items()}
     if "curriculum_level" in carrier.keys():
         metrics["curriculum/level"] = carrier["curriculum_level"].mean().item()
     metrics |= {f"params/{k}": v.mean().item() for k, v in carrier.get("params", {}).items()}

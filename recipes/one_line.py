@@ -10,9 +10,9 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, InstantiationException
+from hydra.errors import ConfigCompositionException, HydraException, InstantiationException
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 # Of another actor's key that was left over, for instance.
 _UNEXPECTED = re.compile(r"(.*) got an unexpected keyword argument '(\w+)'.*")
@@ -72,7 +72,11 @@ def one_line_errors() -> Iterator[None]:
 
 def in_one_line(error: BaseException) -> str:
     """What went wrong, without hydra's account of where."""
-    return _innermost(error) if isinstance(error, InstantiationException) else _flat(str(error))
+    if isinstance(error, InstantiationException):
+        return _innermost(error)
+    if isinstance(error, ConfigCompositionException):
+        return _not_there(error) or _flat(str(error))
+    return _flat(str(error))
 
 
 def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
@@ -83,10 +87,26 @@ def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
     """
     for key in map(str, cfg):
         if key not in known:
-            near = get_close_matches(key, known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else "."
-            names = ", ".join(sorted(known))
-            raise ValueError(f"{prefix}{key} is not a key of the config ({names}){hint}")
+            raise ValueError(_unknown(prefix + key, key, sorted(known)))
+
+
+def _unknown(full_key: str, key: str, known: list[str]) -> str:
+    near = get_close_matches(key, known, n=1)
+    hint = f"; did you mean {near[0]}?" if near else "."
+    return f"{full_key} is not a key of the config ({', '.join(known)}){hint}"
+
+
+def _not_there(error: ConfigCompositionException) -> str | None:
+    """What a key from the shell that the config does not have may be meant to be."""
+    cause = error.__cause__
+    if not isinstance(cause, (ConfigAttributeError, ConfigKeyError)):
+        return None
+    if not isinstance(cause.parent_node, DictConfig) or cause.full_key is None:
+        return None
+    names = [str(key) for key in cause.parent_node if not str(key).startswith(("_", "hydra"))]
+    if not names:  # a single value
+        return None
+    return f"{_unknown(cause.full_key, str(cause.key), names)} A new one begins with a +."
 
 
 def _innermost(error: BaseException) -> str:

@@ -1,4 +1,4 @@
-"""The numbers of a training, each in its range."""
+"""The numbers of a training, each in its range, and what its env must hold."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -6,6 +6,7 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig
 from torch import Tensor
+from torchrl.envs import EnvBase
 
 from recipes.one_line import check_keys
 
@@ -15,6 +16,26 @@ _TABLES = {
     "scheduler": "{_target_: torchrl.objectives.KLAdaptiveLR, ...}, or null",
     "auxiliary_losses": "{NAME: {_target_: ..., ...}}, or {} for none",
 }
+_WRITTEN_BY = {  # what learning reads of every task
+    "action": "zfall.envs.transforms.actions.JointPositionTarget",
+    "observation": "zfall.envs.transforms.observations.ObservationVector",
+    "reward": "zfall.envs.transforms.rewards.WeightedReward",
+    "is_init": "torchrl.envs.InitTracker",
+    "episode_reward": "torchrl.envs.RewardSum",
+}
+
+
+def check_task(env: EnvBase) -> None:
+    """Refuses an env that lacks what learning reads.
+
+    Raises:
+        ValueError: naming the key and a transform that brings it.
+    """
+    specs = (env.observation_spec, env.full_reward_spec, env.full_action_spec)
+    there = {key for spec in specs for key in spec.keys()}
+    for key, transform in _WRITTEN_BY.items():
+        if key not in there:
+            raise ValueError(f"env.transforms must bring {key}, as {transform} does.")
 
 
 def check_ranges(cfg: DictConfig) -> None:
@@ -35,11 +56,11 @@ def check_ranges(cfg: DictConfig) -> None:
         if not (isinstance(cfg[key], DictConfig) or (key == "scheduler" and cfg[key] is None)):
             raise ValueError(f"{key} must be a table, {example}, got {cfg[key]}.")
     if "lr" in cfg.optimizer:
-        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "not be negative")
+        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "be a number, at least 0")
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))
         for key, bound in (("min_lr", low), ("max_lr", high)):
             if bound is not None:
-                check_number(bound, f"scheduler.{key}", lambda x: x >= 0, "not be negative")
+                check_number(bound, f"scheduler.{key}", lambda x: x >= 0, "be a number, at least 0")
         if None not in (low, high) and not low <= cfg.optimizer.lr <= high:
             raise ValueError(
                 f"optimizer.lr must lie within scheduler.min_lr {low} and scheduler.max_lr {high}, "
@@ -70,7 +91,7 @@ def _check_loss(loss: DictConfig) -> None:
         check_number(loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
     check_number(loss.clip_epsilon, "loss.clip_epsilon", lambda x: 0 < x <= 1, "lie in (0, 1]")
     for key in ("critic_coeff", "entropy_coeff", "kl_coeff"):
-        check_number(loss[key], f"loss.{key}", lambda x: x >= 0, "not be negative")
+        check_number(loss[key], f"loss.{key}", lambda x: x >= 0, "be a number, at least 0")
     for key in ("kl_stop", "kl_target", "value_clip", "value_error_clip"):
         if loss[key] is not None:
             check_number(loss[key], f"loss.{key}", lambda x: x > 0, "be positive or null")

@@ -219,7 +219,7 @@ def test_what_no_policy_can_stand_beside_is_refused(beside):
         ({"rows": {"a": ["+auxiliary_losses.x=3"]}}, "study.rows.a: auxiliary_losses.x must be a"),
         ({"rows": {"a": ["augmentation=3"]}}, "study.rows.a: augmentation must be a table"),
         ({"rows": {"a": ["+loss._target_=no.X"]}}, "study.rows.a: loss._target_ must name some"),
-        ({"rows": {"a": ["scheduler.min_lr=x"]}}, "study.rows.a: scheduler.min_lr must not be"),
+        ({"rows": {"a": ["scheduler.min_lr=x"]}}, "study.rows.a: scheduler.min_lr must be a"),
         ({"rows": {"a": ["env.base_env=3"]}}, "study.rows.a: a value may be of another kind"),
         ({"tests": {"n": "env=icub_balance"}}, "study.tests.n must be a list, got env=icub"),
         ({"tests": {"n": ["+minibatch=7"]}}, "study.tests.n: minibatch is not a key"),

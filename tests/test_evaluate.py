@@ -222,3 +222,15 @@ def test_other_batteries_write_their_files(trained, battery, files):
     assert summary["control_falls"] == 0
     page = (trained / "report.html").read_text()
     assert f"Battery {folder.name.replace('_', ' ')}" in page
+
+
+def test_of_a_refused_battery_nothing_stays(trained, tmp_path):
+    before = sorted(trained.rglob("*"))
+    done = run("evaluate", f"run={trained}", "battery=planar", "point=nose")
+    assert done.stderr.startswith("error: point must be a push point or a link, one of elbow")
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(trained.rglob("*")) == before
+    folder = tmp_path / "out"
+    done = run("evaluate", "run=pose_hold", "point=nose", f"hydra.run.dir={folder}")
+    assert "point must be a push point" in done.stderr
+    assert not folder.exists()

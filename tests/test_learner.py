@@ -9,6 +9,7 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from recipes.learner import Learner
+from recipes.metrics import batch_metrics
 from zfall.losses.burn_in import burnt_in
 from zfall.modules.actors import normalizer_of
 
@@ -577,3 +578,15 @@ def test_a_loss_under_another_name_is_refused(compose_config):
     learner = Learner(compose_config(own, "num_envs=4", "rollout_steps=4"))
     with pytest.raises(ValueError, match=r"Misnamed must write .*loss_, wrote size"):
         learner.learn(learner.collect())
+
+
+def test_a_task_needs_no_terminations_and_no_table_of_its_reward(compose_config):
+    without = ("env.transforms.terminations=null", "env.transforms.limit.seconds=0.2")
+    learner = Learner(compose_config(*without, "num_envs=4", "rollout_steps=8"))
+    batch = learner.collect()
+    metrics = batch_metrics(batch.exclude(("next", "reward_terms")), learner.carrier, 0.04)
+    assert metrics["episodes"] == 4  # of five steps
+    assert metrics["terminated"] == 0
+    assert metrics["episode_seconds"] == pytest.approx(0.2)
+    assert not any(key.startswith(("termination/", "reward/")) for key in metrics)
+    learner.learn(batch)

@@ -50,7 +50,12 @@ BAD = [
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
     (["total_frames=inf"], "total_frames must be a positive number, got inf"),
-    (["total_frame=3"], "Unless it is misspelt, write +total_frame=3"),
+    (["total_frame=3"], "loss); did you mean total_frames? A new one begins with a +."),
+    (
+        ["env.transforms.push.sise=3"],
+        "env.transforms.push.sise is not a key of the config (point, size, duration, interval); "
+        "did you mean size?",
+    ),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
     (["optimizer=null"], "optimizer must be a table, {_target_: torch.optim.Adam"),
@@ -76,7 +81,7 @@ BAD = [
         "row is called in every step: beside its _target_ say _partial_: true.",
     ),
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
-    (["optimizer.lr=abc"], "optimizer.lr must not be negative, got abc"),
+    (["optimizer.lr=abc"], "optimizer.lr must be a number, at least 0, got abc"),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
     (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
     (
@@ -102,6 +107,20 @@ BAD = [
             "[0.1,{_target_:zfall.envs.terms.posture.reference_posture,_partial_:true}]"
         ],
         "env.transforms.reward: reference_posture must be given sigma, which has no default",
+    ),
+    (
+        ["env.transforms.reward=null"],
+        "env.transforms must bring reward, as zfall.envs.transforms.r",
+    ),
+    (
+        ["env.transforms.init=null"],
+        "env.transforms must bring is_init, as torchrl.envs.InitTracker",
+    ),
+    (["env.transforms.observation.keys=[]"], "keys must name at least one quantity, got []"),
+    (["env.transforms.observation_critic=null"], "critic: the env must bring observation_critic"),
+    (
+        ["env.transforms.action=null"],
+        "LastAction needs an action, as JointPositionTarget brings it, got an env that reads control",
     ),
     (["env.base_env.control_dt=0.03"], "control_dt must be a multiple of physics_dt"),
     (["env.transforms.delay.delay=[0,0.5]"], "env.transforms.delay: delay must be"),

@@ -34,6 +34,15 @@ class ValueHead(nn.Linear):
         return self.scale * super().forward(features)
 
 
+def _observation_size(observation_spec: Composite) -> int:
+    """Length of what a critic sees."""
+    if "observation_critic" not in observation_spec.keys():
+        raise ValueError(
+            "the env must bring observation_critic, as an ObservationVector with that out_key does."
+        )
+    return int(observation_spec["observation_critic"].shape[-1])
+
+
 def mlp_critic(
     observation_spec: Composite,
     *,
@@ -53,8 +62,11 @@ def mlp_critic(
         normalize: whether observations are centered and scaled by their statistics so far; or
             the normaliser of an actor that sees the same, to be shared.
         scale: unit of the values.
+
+    Raises:
+        ValueError: if the env has no such observation.
     """
-    size = observation_spec["observation_critic"].shape[-1]
+    size = _observation_size(observation_spec)
     trunk = mlp_trunk(size, num_cells, activation, initialization)
     net = nn.Sequential(*normalizer(size, normalize), trunk, ValueHead(num_cells[-1], scale))
     return ValueOperator(net, in_keys=["observation_critic"])
@@ -83,8 +95,11 @@ def gru_critic(
         normalize: whether observations are centered and scaled by their statistics so far; or
             the normaliser of an actor that sees the same, to be shared.
         scale: unit of the values.
+
+    Raises:
+        ValueError: if the env has no such observation.
     """
-    size = observation_spec["observation_critic"].shape[-1]
+    size = _observation_size(observation_spec)
     critic = TensorDictSequential(
         *gru_trunk(
             size,

@@ -19,7 +19,8 @@ def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
     A term that was given another one as ``term`` has that one bound, too.
 
     Raises:
-        ValueError: if a parameter without a default has no value then.
+        ValueError: if a parameter without a default has no value then, or it does not take the two
+            TensorDicts.
     """
     if isinstance(term, partial):  # hydra's own kind costs half a millisecond a call
         term = partial(term.func, *term.args, **term.keywords)
@@ -28,8 +29,16 @@ def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
         term = partial(term, term=bind(given["term"], **known))
     asked = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
     bound = partial(term, **{name: known[name] for name in asked}) if asked else term
-    for parameter in inspect.signature(bound).parameters.values():
+    name = getattr(getattr(term, "func", term), "__name__", type(term).__name__)
+    signature = inspect.signature(bound)
+    for parameter in signature.parameters.values():
         if parameter.kind is parameter.KEYWORD_ONLY and parameter.default is parameter.empty:
-            name = getattr(getattr(term, "func", term), "__name__", type(term).__name__)
             raise ValueError(f"{name} must be given {parameter.name}, which has no default.")
+    try:
+        signature.bind("td", "next_td")
+    except TypeError as error:
+        raise ValueError(
+            f"{name} must take (td, next_td), the TensorDicts before and after the step, and what "
+            f"its entry gives: {error}."
+        ) from None
     return bound

@@ -21,9 +21,14 @@ class ObservationVector(Transform):
         out_key: name of the vector, ``observation`` or ``observation_critic``.
         measured: whether to take what sensing transforms left under ``("measured", key)``, where
             they did, in place of the true value.
+
+    Raises:
+        ValueError: if there is no key, or one that no transform before it writes.
     """
 
     def __init__(self, *, keys: list[str], out_key: str, measured: bool):
+        if not keys:
+            raise ValueError(f"keys must name at least one quantity, got {list(keys)}.")
         self.keys = [key if isinstance(key, str) else tuple(key) for key in keys]
         super().__init__(in_keys=self.keys, out_keys=[out_key])
         self.measured = measured

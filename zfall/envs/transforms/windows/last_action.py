@@ -10,6 +10,9 @@ class LastAction(Transform):
 
     Keys: writes ``last_action`` ``(N, J)``, zero after a reset. In a reward term,
     ``td["last_action"]`` is thus the action before ``td["action"]``.
+
+    Raises:
+        ValueError: if no transform of the env takes an action.
     """
 
     def __init__(self) -> None:
@@ -24,5 +27,11 @@ class LastAction(Transform):
         return tensordict_reset.set("last_action", self.parent.full_action_spec["action"].zero())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        observation_spec["last_action"] = self.parent.full_action_spec["action"].clone()
+        actions = self.parent.full_action_spec
+        if "action" not in actions.keys():
+            raise ValueError(
+                f"LastAction needs an action, as JointPositionTarget brings it, got an env that "
+                f"reads {', '.join(map(str, actions.keys()))}."
+            )
+        observation_spec["last_action"] = actions["action"].clone()
         return observation_spec
