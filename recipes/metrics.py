@@ -19,8 +19,9 @@ def batch_metrics(
         "reward": after["reward"].mean().item(),
         "episodes": int(ended.sum()),
         "terminated": int(after["terminated"].sum()),
-        "diverged": int(after["diverged"].sum()),
     }
+    if "diverged" in after.keys():  # of physics alone
+        metrics["diverged"] = int(after["diverged"].sum())
     if ended.any():  # else the columns keep the last value known
         metrics["episode_return"] = after["episode_reward"][ended].mean().item()
         if "step_count" in after.keys():

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase, InitTracker, TransformedEnv
+from torchrl.envs import Compose, EnvBase, InitTracker, RewardSum, TransformedEnv
 
 STEPS = 26  # the first, and what of 25 Hz makes up a second
 
@@ -74,5 +74,5 @@ class RecallEnv(EnvBase):
 
 
 def make_env(num_envs: int) -> TransformedEnv:
-    """The task with what a recurrent policy needs."""
-    return TransformedEnv(RecallEnv(num_envs), InitTracker())
+    """The task with what learning reads."""
+    return TransformedEnv(RecallEnv(num_envs), Compose(InitTracker(), RewardSum()))
