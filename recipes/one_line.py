@@ -22,6 +22,7 @@ _OTHER_KIND = re.compile(
     r".*'(int|float|str|bool|NoneType|ListConfig|DictConfig|list|dict)' "
     r"(object is not|is not iterable|object has no attribute|and 'int'|and 'float').*"
 )
+_NO_PLACE = re.compile(r"invalid literal for int\(\) with base 10: '(\w+)'")  # of a list
 _NOT_LOADED = re.compile(r"Error loading '(\S+)': \w+\([\"'](.*)[\"']\).*")
 
 
@@ -76,6 +77,8 @@ def in_one_line(error: BaseException) -> str:
         return _innermost(error)
     if isinstance(error, ConfigCompositionException):
         return _not_there(error) or _flat(str(error))
+    if no_place := _NO_PLACE.fullmatch(str(error)):
+        return f"a list has values 0, 1 and so on, none that is called {no_place[1]}."
     return _flat(str(error))
 
 

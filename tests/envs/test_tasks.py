@@ -33,6 +33,21 @@ def test_overrides_reach_the_table():
     assert env.base_env.control_dt == 0.02
 
 
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("env.transforms.push.siz=3", "env.transforms.push.siz is not a key .* did you mean size?"),
+        ("env.transforms.push.size.y=3", "a list has values 0, 1 .*none that is called y"),
+        ("env.base_env.control_dt=0.0401", "env.base_env: control_dt must be a multiple of phy"),
+        ("env=icub", "Could not find 'env/icub' Available options in 'env': atalante_standing"),
+    ],
+)
+def test_overrides_that_no_task_can_have_are_refused_in_one_line(override, message):
+    with pytest.raises(ValueError, match=message) as refused:
+        build_task("push_recovery", num_envs=1, overrides=[override])
+    assert "\n" not in str(refused.value)
+
+
 def test_overrides_to_a_table_are_refused(compose_config):
     with pytest.raises(ValueError, match=r"overrides must be empty when task is a table"):
         build_task(compose_config("num_envs=1").env, num_envs=1, overrides=["env.a=1"])

@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException, InstantiationException
 from hydra.utils import instantiate
 from numpy.typing import NDArray
+from omegaconf.errors import OmegaConfBaseException
 from torchrl.envs import Transform, TransformedEnv
 
+from recipes.one_line import in_one_line
 from zfall.envs.make import left_out, make_env
 
 Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
@@ -34,18 +37,22 @@ def build_task(
             ``env.transforms.push.duration=0.2``.
 
     Raises:
-        ValueError: on an unknown name, or overrides to a table that is no name.
+        ValueError: on an unknown name, overrides to a table that is no name, or values that the
+            task cannot have.
     """
     if isinstance(task, str):
         task = _load_table(task, overrides)
     elif overrides:
         raise ValueError(f"overrides must be empty when task is a table, got {list(overrides)}.")
     threads = {"threads": 1} if num_envs == 1 else {}
-    base = instantiate(task["base_env"], num_envs=num_envs, **threads, _convert_="all")
     transforms = {k: v for k, v in task["transforms"].items() if not _is_for_critic(v)}
     gone = task["transforms"].keys() - transforms.keys()
     training_only = [name for name in left_out(task.get("training_only", {})) if name not in gone]
-    return make_env(base, transforms, training_only=training_only, training=training)
+    try:
+        base = instantiate(task["base_env"], num_envs=num_envs, **threads, _convert_="all")
+        return make_env(base, transforms, training_only=training_only, training=training)
+    except InstantiationException as error:
+        raise ValueError(in_one_line(error)) from error
 
 
 def action_bounds(
@@ -73,8 +80,12 @@ def _load_table(name: str, overrides: Collection[str]) -> Table:
     names = sorted(f.removesuffix(".yaml") for f in there if f.endswith(".yaml"))
     if name not in names:
         raise ValueError(f"task must be one of {', '.join(names)}, got {name!r}.")
+    changed = [f"env={name}", "~experiment", *overrides]
     with _outside_hydra(), initialize_config_module("recipes", version_base=None):
-        return compose("train", overrides=[f"env={name}", "~experiment", *overrides]).env
+        try:
+            return compose("train", overrides=changed).env
+        except (HydraException, OmegaConfBaseException, ValueError) as error:
+            raise ValueError(in_one_line(error)) from error
 
 
 @contextmanager
