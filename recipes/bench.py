@@ -106,6 +106,7 @@ def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[s
     recorded = stepper.record()
     tasks: dict[str, Callable[[float], float]] = {
         "limit": lambda seconds: bare_physics(env, *recorded, seconds),
+        "limit_together": lambda seconds: together(env, *recorded, seconds),
         "env": stepper.run,
         "train": lambda seconds: train(learner, seconds),
     }

@@ -56,6 +56,7 @@ BAD = [
         "env.transforms.push.sise is not a key of the config (point, size, duration, interval); "
         "did you mean size?",
     ),
+    (["env.transforms.push.size.y=3"], "a list has values 0, 1 and so on, none that is called y"),
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
     (["optimizer=null"], "optimizer must be a table, {_target_: torch.optim.Adam"),
