@@ -31,6 +31,18 @@ def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
     assert "env_efficiency" in done.stdout
 
 
+def test_an_experiment_is_measured_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "ROUNDS", 1)
+    done = run("bench", *TINY, "only=quickstart", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "bench.json").read_text())
+    speeds = {key for key in figures if not key.startswith("transform/")}
+    efficiencies = {"env_efficiency", "train_efficiency"}
+    assert speeds == {"limit", "limit_together", "env", "train"} | efficiencies
+    assert all(figures[key] > 0 for key in speeds)
+    assert figures["train_efficiency"] == pytest.approx(figures["train"] / figures["limit"])
+
+
 @pytest.mark.slow
 def test_bench_measures_the_peers_too(tmp_path):
     done = run("bench", *TINY, f"hydra.run.dir={tmp_path}")

@@ -580,13 +580,14 @@ def test_a_loss_under_another_name_is_refused(compose_config):
         learner.learn(learner.collect())
 
 
-def test_a_task_needs_no_terminations_and_no_table_of_its_reward(compose_config):
+def test_a_task_needs_no_terminations_no_divergence_and_no_table_of_its_reward(compose_config):
     without = ("env.transforms.terminations=null", "env.transforms.limit.seconds=0.2")
     learner = Learner(compose_config(*without, "num_envs=4", "rollout_steps=8"))
     batch = learner.collect()
-    metrics = batch_metrics(batch.exclude(("next", "reward_terms")), learner.carrier, 0.04)
+    seen = batch.exclude(("next", "reward_terms"), ("next", "diverged"))
+    metrics = batch_metrics(seen, learner.carrier, 0.04)
     assert metrics["episodes"] == 4  # of five steps
     assert metrics["terminated"] == 0
     assert metrics["episode_seconds"] == pytest.approx(0.2)
-    assert not any(key.startswith(("termination/", "reward/")) for key in metrics)
+    assert not any(key.startswith(("termination/", "reward/", "diverged")) for key in metrics)
     learner.learn(batch)
