@@ -267,6 +267,21 @@ def test_diverged_world_ends_and_never_shows_a_value_that_is_not_finite(make_bas
     assert all(value.isfinite().all() for value in out.values() if value.dtype == torch.float32)
 
 
+def test_a_value_beyond_any_physics_ends_the_world_also_amid_the_step(make_base):
+    """All links are thrown up by 2e6 m/s2 for one of ten physics steps, and stopped in the next."""
+    env = make_base(num_envs=2)
+    td = env.reset()
+    td["target"] = env.stand_position.expand(2, -1)
+    force = 2e6 * torch.from_numpy(env.simulation.model.body_mass[1:])
+    env.simulation.wrench[1, 2, :, 2], env.simulation.wrench[1, 3, :, 2] = force, -force
+    end = env.simulation.step(td["target"][:, None].expand(-1, 10, -1))[:, -1]
+    assert not env.simulation.diverged.any()
+    assert end.abs().max() < 1e3
+    env.reset()
+    td["push", "wrench"] = env.simulation.wrench.clone()
+    assert env._step(td)["diverged"].squeeze().tolist() == [False, True]
+
+
 def test_saved_env_goes_on_bit_for_bit(make_base):
     env = make_base()
     td = stand(env, 0.2)

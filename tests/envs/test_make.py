@@ -5,6 +5,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from tensordict import TensorDict, TensorDictBase
+from torch.testing import assert_close
 from torchrl.envs import Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
@@ -161,6 +162,40 @@ def test_a_partial_reset_is_put_together_as_torchrl_does_it(make_base):
     for key in theirs.keys(True, True):
         assert torch.equal(ours[key], theirs[key]), key
     assert torch.equal(ours["own"][::2], torch.zeros(2, 2))
+
+
+class AddsInPlace(Transform):
+    """Adds 1 to what the base env gave, in its own memory, as a user's transform may."""
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        next_tensordict["joint_position"] += 1.0
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_partial_reset_keeps_the_rows_of_other_worlds(make_base, changed):
+    """Also what a transform writes in place, and what a caller has put in place of a key."""
+    base = make_base(num_envs=4)
+    in_place = {"add": AddsInPlace()} if changed else {}
+    env = make_env(base, {"action": JointPositionTarget(base, scale=0.6), **in_place})
+    td = env.reset()
+    for _ in range(3):
+        td["action"] = torch.randn(4, 20)
+        td = env.step_mdp(env.step(td))
+    if changed:
+        td["com_position"] = td["com_position"] + 5.0
+    before = td.clone()
+    after = env.reset(td.set("_reset", torch.tensor([[True], [False], [True], [False]])))
+    for key in ("joint_position", "com_position", "feet_force"):
+        assert torch.equal(after[key][1::2], before[key][1::2]), key
+    start = base.stand_position + float(changed)
+    assert_close(after["joint_position"][::2], start.expand(2, -1))
+    assert (after["com_position"][::2, 2] < 0.3).all()
 
 
 @pytest.mark.parametrize(("reader", "values", "noisy"), [

@@ -18,7 +18,8 @@ def read(make_base):
         for step, sensors in steps.items():
             for name, value in sensors.items():
                 values[0, step, slices[name]] = torch.tensor(value, dtype=torch.float64)
-        return env, env._quantities(env.simulation.qpos, env.simulation.qvel, values)[0]
+        read = env._quantities(env.simulation.qpos, env.simulation.qvel, values)
+        return env, {key: value[0] for key, value in read.items()}
 
     return build
 

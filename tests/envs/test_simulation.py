@@ -7,7 +7,7 @@ import torch
 
 from zfall.envs.model import compile_model
 from zfall.envs.robots import ZEROTH01
-from zfall.envs.simulation import Simulation
+from zfall.envs.simulation import BOUND, Simulation, sound
 
 S = 10
 
@@ -96,6 +96,17 @@ def test_diverged_world_is_reported_and_leaves_the_others_alone(model):
     assert simulation.diverged.tolist() == [False, False, True, False]
     others = torch.tensor([0, 1, 3])
     assert torch.equal(simulation.qpos[others], reference.qpos[others])
+
+
+@pytest.mark.parametrize(("value", "good"), [
+    (0.0, True), (0.99 * BOUND, True), (-0.99 * BOUND, True), (-1.01 * BOUND, False),
+    (1e200, False), (np.inf, False), (-np.inf, False), (np.nan, False),
+])  # fmt: skip
+def test_a_world_is_sound_if_no_value_is_beyond_the_bound(value, good):
+    """Several just below it are sound, although the root of their squares is not."""
+    states, values = np.full((3, 4), 0.9 * BOUND), np.zeros((3, 5))
+    states[0], values[1, 2] = 1.0, value
+    assert sound(states, values).tolist() == [True, good, True]
 
 
 def test_worlds_that_do_not_step_stay_and_change_no_other(model):

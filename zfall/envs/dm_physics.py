@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zfall.envs.robots import ZEROTH01, Robot
-from zfall.envs.simulation import BOUND, site_poses
+from zfall.envs.simulation import site_poses, sound
 
 Array = NDArray[np.float64]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -155,19 +155,17 @@ class PhysicsSimulation:
         wrenches = self.wrench[0].numpy()
         by_hand, warnings = data.xfrc_applied.copy(), data.warning.number.sum()
         data.qacc_warmstart[:] = 0.0  # each control step starts the solver cold, as there
-        largest, done = 0.0, 0
+        done = 0
         while done < self.substeps and data.warning.number.sum() == warnings:
             data.ctrl[:] = controls[done]
             data.xfrc_applied[1:] = by_hand[1:] + wrenches[done]
             mujoco.mj_step(model, data)
             sensors[done] = data.sensordata
             self._keep_substate(done)
-            for values in (sensors[done], data.qpos, data.qvel):
-                largest = np.maximum(largest, np.abs(values).max())  # not a number stays that
             done += 1
         data.xfrc_applied[:] = by_hand
-        sound = bool(largest < BOUND) and done == self.substeps
-        self.diverged = torch.tensor([not sound])
+        good = sound(sensors[-1:], data.qpos[None], data.qvel[None])
+        self.diverged = torch.from_numpy(~good) | (done < self.substeps)
         mujoco.mj_step1(model, data)  # what depends on position and velocity, up to date
         return self._sensors
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
@@ -20,9 +20,9 @@ from zfall.envs.model import (
     servo_time_constant,
 )
 from zfall.envs.parameters import PhysicsParameters
-from zfall.envs.quantities import SUBSTEP_KEYS, Quantities
+from zfall.envs.quantities import PEAK_KEYS, SUBSTEP_KEYS, Quantities
 from zfall.envs.robots import ZEROTH01, PushPoint, Robot
-from zfall.envs.simulation import Simulation
+from zfall.envs.simulation import BOUND, Simulation
 from zfall.envs.specs import action_spec, done_spec, observation_spec
 
 STATE_KEYS = (  # what a state of the robot is made of
@@ -151,7 +151,8 @@ class HumanoidEnv(EnvBase):
         self._soles = [int(model.sensor(f"feet_position/{foot}").objid[0]) for foot in robot.feet]
         self.servo_time_constant = servo_time_constant(model, robot)
         self._recorded: tuple[str, ...] = ()
-        self._observed: TensorDictBase | None = None  # what the last step or reset gave
+        self._observed: dict[NestedKey, Tensor] | None = None  # what the last step or reset gave
+        self._merged: list[tuple[Tensor, Tensor, int]] = []
         self._stand = torch.tensor(model.key("stand").qpos.copy())
         self._quantities = Quantities(
             robot,
@@ -259,7 +260,8 @@ class HumanoidEnv(EnvBase):
         self._disturb(tensordict)
         sensors = self.simulation.step(control[..., self._to_actuators])
         observed = self._observe(sensors)
-        diverged = self.simulation.diverged
+        peaks = torch.cat([observed[key] for key in PEAK_KEYS], 1)  # of what is in between
+        diverged = self.simulation.diverged | ~(peaks < BOUND).all(1)
         if diverged.any():  # such a world ends here, in a state the learner can read
             observed = self._observe(self._place(diverged, {}))
         return self._mark(observed, diverged[:, None])
@@ -280,28 +282,38 @@ class HumanoidEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
+        before, self._merged = self._observed, []
         rows = _get_reset("_reset", source).reshape(self.num_envs)
         start = {
             key: source["start", key] for key in START_KEYS if ("start", key) in source.keys(True)
         }
         sensors = self._place(rows, start)
-        if self._observed is None or rows.all():
+        if before is None or rows.all():
             observed = self._observe(sensors)
         else:  # a few new rows among what the others had
             index = rows.nonzero()[:, 0]
-            observed = self._observed.clone()
-            new = dict(self._observe(sensors, index).items(True, True))
-            for key, value in observed.items(True, True):
-                value.index_copy_(0, index, new[key])
+            new = self._observe(sensors, index)
+            observed = {key: old.index_copy(0, index, new[key]) for key, old in before.items()}
+            if not torch.is_inference_mode_enabled():  # there tensors have no version
+                pairs = zip(before.values(), observed.values(), strict=True)
+                self._merged = [(old, now, now._version) for old, now in pairs]
         return self._mark(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 
-    def _observe(self, sensors: Tensor, index: Tensor | None = None) -> TensorDictBase:
+    def merged(self) -> dict[int, Tensor]:
+        """What the last partial reset gave in place of what was there, by ``id`` of the latter.
+
+        Rows that were not reset are equal in both, so that nothing needs to be put together of
+        them. What has been written to since is left out.
+        """
+        return {id(old): now for old, now, version in self._merged if now._version == version}
+
+    def _observe(self, sensors: Tensor, index: Tensor | None = None) -> dict[NestedKey, Tensor]:
         """All quantities, of all worlds or of those in ``index`` ``(K,)``."""
         simulation, parameters = self.simulation, self.parameters
         arrays = (simulation.qpos, simulation.qvel, sensors, parameters.gravity, parameters.mass)
         out = self._quantities(*_rows_of(arrays, index))
-        if self._recorded:
-            out["substeps"] = self._substeps(sensors, index)
+        for key, value in self._substeps(sensors, index).items():
+            out["substeps", key] = value
         if self.ball:
             states = _rows_of(arrays[:2], index)
             for key, state, columns in zip(
@@ -310,16 +322,22 @@ class HumanoidEnv(EnvBase):
                 out["ball", key] = state[:, columns].float()
         return out
 
-    def _mark(self, observed: TensorDictBase, diverged: Tensor) -> TensorDictBase:
+    def _mark(self, observed: dict[NestedKey, Tensor], diverged: Tensor) -> TensorDictBase:
         """Keeps what was observed and adds the flags: only failed physics ends an episode."""
-        self._observed = observed.copy()
-        for key in ("diverged", "terminated", "done"):
-            observed[key] = diverged.clone()
-        observed["truncated"] = torch.zeros_like(diverged)
-        return observed
+        self._observed = observed
+        flags = {key: diverged.clone() for key in ("diverged", "terminated", "done")}
+        flags["truncated"] = torch.zeros_like(diverged)
+        flat = {key: value for key, value in observed.items() if isinstance(key, str)}
+        out = TensorDict(flat | flags, batch_size=self.batch_size)
+        for key, value in observed.items():
+            if key not in flat:
+                out[key] = value
+        return out
 
     def _substeps(self, sensors: Tensor, index: Tensor | None) -> dict[str, Tensor]:
         """What ``record_substeps`` asked for, of the worlds as in ``_observe``."""
+        if not self._recorded:
+            return {}
         arrays = (*self.simulation.substates, sensors, self.parameters.gravity)
         return self._quantities.substeps(self._recorded, *_rows_of(arrays, index))
 

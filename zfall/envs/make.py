@@ -94,7 +94,8 @@ class HumanoidTask(TransformedEnv):
     """``TransformedEnv`` that puts a partial reset together row by row.
 
     TorchRL chooses between old and new in all rows of some sixty keys, of which but a few worlds
-    are new; copying these alone takes half the time.
+    are new; copying these alone takes half the time, and what the base env has put together
+    itself is taken as it is.
     """
 
     def _reset_proc_data(
@@ -105,19 +106,28 @@ class HumanoidTask(TransformedEnv):
             return super()._reset_proc_data(tensordict, tensordict_reset)
         self._reset_check_done(tensordict, tensordict_reset)
         rows = reset.reshape(-1).nonzero()[:, 0]
-        _copy_rows(tensordict_reset, tensordict, rows)
+        base = self.base_env
+        merged = base.merged() if isinstance(base, HumanoidEnv) else {}
+        _copy_rows(tensordict_reset, tensordict, rows, merged)
         return tensordict.exclude("_reset", inplace=True)
 
 
-def _copy_rows(source: TensorDictBase, into: TensorDictBase, rows: Tensor) -> None:
-    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0."""
+def _copy_rows(
+    source: TensorDictBase, into: TensorDictBase, rows: Tensor, merged: Mapping[int, Tensor]
+) -> None:
+    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0.
+
+    What ``merged`` holds of an entry, see ``HumanoidEnv.merged``, takes its place.
+    """
     for key in (source.keys() | into.keys()) - {"_reset"}:
         value, there = source.get(key, None), into.get(key, None)
         if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
             there = value.empty() if there is None else there
-            _copy_rows(there.empty() if value is None else value, there, rows)
+            _copy_rows(there.empty() if value is None else value, there, rows, merged)
         elif value is None:
             there = there.index_fill(0, rows, 0)
+        elif merged.get(id(there)) is value:
+            there = value
         else:
             there = torch.zeros_like(value) if there is None else there
             there = there.index_copy(0, rows, value.index_select(0, rows))

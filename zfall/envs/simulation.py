@@ -23,11 +23,14 @@ CHUNKS = 32  # of worlds, for each thread: the last one at work keeps the others
 BOUND = 1e6
 
 
-def _largest(*values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest absolute value of each world ``(N,)``, not a number if one is not."""
-    flat = [array.reshape(len(array), -1) for array in values]
-    ends = [end for array in flat for end in (array.max(1), -array.min(1))]
-    return np.maximum.reduce(ends)
+def sound(*values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Worlds ``(N,)`` all of whose values ``(N, ...)`` are finite and within ``BOUND``."""
+    # A sum of squares is one pass, and no value is larger than its root: most worlds need no more.
+    squares = sum(np.einsum("nv,nv->n", array, array) for array in values)
+    good = squares < BOUND**2
+    for row in (~good).nonzero()[0]:
+        good[row] = all((np.abs(array[row]) < BOUND).all() for array in values)
+    return good
 
 
 def site_poses(
@@ -62,6 +65,8 @@ class Simulation:
         wrench: force and torque on each body but the world in each step of the coming call of
             ``step`` ``(N, S, nbody - 1, 6)`` float64 [N, N m; world axes, at the body's center of
             mass]; it stays as it is written.
+        diverged: worlds ``(N,)`` bool whose last ``step`` MuJoCo gave up on, or that ended with a
+            value not finite or beyond ``BOUND``.
     """
 
     def __init__(
@@ -78,8 +83,6 @@ class Simulation:
         self._workers = ThreadPoolExecutor(self.threads)  # for what is not a step
         self._data = [mujoco.MjData(model) for _ in range(self.threads)]
         self._scratch = [mujoco.MjData(model) for _ in range(self.threads)]  # of the workers
-        self._largest: Future[NDArray[np.float64]] | None = None  # of the last step's values
-        self._late = torch.zeros(num_worlds, dtype=torch.bool)
         self._stepped: Tensor | None = None  # numbers of the worlds that step; None: all
         self._deriving: list[Future[None]] = []
         size = mujoco.mj_stateSize(model, _STATE)
@@ -88,7 +91,7 @@ class Simulation:
         self._states = torch.zeros(num_worlds, substeps, size, dtype=torch.float64)
         self._inputs = torch.zeros(num_worlds, substeps, inputs, dtype=torch.float64)
         self._sensors = torch.zeros(num_worlds, substeps, model.nsensordata, dtype=torch.float64)
-        self._diverged = torch.zeros(num_worlds, dtype=torch.bool)
+        self.diverged = torch.zeros(num_worlds, dtype=torch.bool)
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
         self.qvel = self._state[:, end : end + model.nv]
@@ -117,34 +120,19 @@ class Simulation:
             it. Rows that ``diverged`` are not to be used.
         """
         self._settle()
-        if self._largest is not None:  # still reads what is overwritten now
-            self._largest.result()
+        began = self._state[:, 0].clone()
         self._inputs[:, :, : self.model.nu] = control
         if self._stepped is None:
             self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
         else:
             self._roll_some(self._stepped)
-        self._largest = self._workers.submit(_largest, self._sensors.numpy(), self._states.numpy())
-        end = self._states[:, -1]
-        passed = end[:, 0] - self._state[:, 0]  # a world that MuJoCo gave up on lags behind
-        self._late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
-        if self._stepped is None:
-            self._state.copy_(end)
-        else:
-            self._late &= torch.zeros_like(self._late).index_fill(0, self._stepped, True)
-            self._state[self._stepped] = end[self._stepped]
+        end, rows = self._states[:, -1], slice(None) if self._stepped is None else self._stepped
+        passed = end[:, 0] - began  # a world that MuJoCo gave up on lags behind
+        late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
+        self.diverged = ~torch.from_numpy(sound(end.numpy(), self._sensors[:, -1].numpy()))
+        self.diverged[rows] |= late[rows]
+        self._state[rows] = end[rows]
         return self._sensors
-
-    @property
-    def diverged(self) -> Tensor:
-        """Worlds whose last ``step`` gave values not finite or beyond any physics ``(N,)`` bool.
-
-        Found out beside the caller's own work: best asked for last.
-        """
-        if self._largest is not None:
-            largest, self._largest = torch.from_numpy(self._largest.result()), None
-            self._diverged = ~(largest < BOUND) | self._late
-        return self._diverged
 
     def step_only(self, rows: Tensor | None) -> None:
         """From now on steps the worlds in ``rows`` ``(N,)`` bool alone, or all of them again.
@@ -165,7 +153,7 @@ class Simulation:
             Sensor values as from ``step``, where all S entries of a row in ``rows`` hold the
             values of its new state, and the other rows are as the last ``step`` left them.
         """
-        self._diverged = self.diverged & ~rows
+        self.diverged = self.diverged & ~rows
         index = rows.nonzero()[:, 0]
         state = self._full_state(qpos, qvel)
         self._state[index], self._states[index] = state, state[:, None]

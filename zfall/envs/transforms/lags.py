@@ -1,5 +1,6 @@
 """Delays in seconds, drawn for each world and rounded to physics steps."""
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -41,6 +42,13 @@ class Lags:
             raise ValueError(f"per must be episode or step, got {per!r}.")
         self.per, self.physics_dt, self.rng = per, physics_dt, rng
         self.max_delay, self.longest = max_delay, round(max_delay / physics_dt)
+
+    def ring(self, substeps: int, more: int) -> int:
+        """Physics steps that a ring must hold for the longest delay and ``more`` steps besides.
+
+        A multiple of ``substeps``, so that the steps of a control step lie side by side in it.
+        """
+        return substeps * math.ceil((self.longest + more) / substeps)
 
     def draw(self, delay: Sequence[float] | Tensor, shape: tuple[int, ...]) -> Tensor:
         """Lags of ``shape`` ``(N,)`` or ``(N, J)`` [physics steps].

@@ -36,6 +36,7 @@ class ActuatorDelay(Transform):
 
     history: Tensor
     lag: Tensor
+    slot: Tensor
     substep: Tensor
     first: Tensor
 
@@ -56,25 +57,28 @@ class ActuatorDelay(Transform):
         if joints not in ("shared", "own"):
             raise ValueError(f"joints must be shared or own, got {joints!r}.")
         self.delay, self.per, self.joints, self.substeps = delay, per, joints, env.substeps
-        num, length = env.num_envs, self._lags.longest + env.substeps
+        num, length = env.num_envs, self._lags.ring(env.substeps, env.substeps)
         shape = (num,) if joints == "shared" else (num, len(env.stand_position))
-        # The last commands at the rate of the physics, newest last, and the delay in its steps.
+        # A ring of the last commands at the rate of the physics, the place in it of the coming
+        # control step's, the same in all worlds, and the delay in physics steps.
         self.register_buffer("history", env.stand_position.repeat(num, length, 1))
+        self.register_buffer("slot", torch.zeros((), dtype=torch.long))
         self.register_buffer("lag", torch.zeros(shape, dtype=torch.long))
-        # Where the commands of this step lie without a delay: in a world's rows, and its first row.
-        self.register_buffer("substep", self._lags.longest + torch.arange(env.substeps))
-        self.register_buffer("first", length * torch.arange(num)[:, None])
+        self.register_buffer("substep", torch.arange(env.substeps))
+        self.register_buffer("first", length * torch.arange(num)[:, None])  # row of each world
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
             self.lag = self._lags.draw(self.delay, self.lag.shape)
-        commands = read_commands(tensordict, self.substeps)
-        self.history = torch.cat([self.history[:, self.substeps :], commands], 1)
+        commands, slot = read_commands(tensordict, self.substeps), int(self.slot)
+        length, end = self.history.shape[1], slot + self.substeps
+        self.history[:, slot:end] = commands
+        self.slot.fill_(end % length)
         if self.joints == "shared":  # whole rows of joints: several times as fast as a gather
-            rows = self.first + self.substep - self.lag[:, None]
+            rows = self.first + (slot + self.substep - self.lag[:, None]) % length
             control = self.history.flatten(0, 1).index_select(0, rows.flatten())
             return tensordict.set("control", control.view_as(commands))
-        index = self.substep[:, None] - self.lag[:, None]
+        index = (slot + self.substep[:, None] - self.lag[:, None]) % length
         return tensordict.set("control", self.history.gather(1, index))
 
     def _reset(

@@ -39,6 +39,7 @@ class ObservationDelay(Transform):
     """
 
     history: Tensor
+    slot: Tensor
     lag: Tensor
     row: Tensor
 
@@ -61,24 +62,28 @@ class ObservationDelay(Transform):
         env.record_substeps(keys)
         self.delay, self.keys, self.per, self.substeps = delay, list(keys), per, env.substeps
         self._sizes = [env.observation_spec[key].shape[-1] for key in keys]
-        length = max(self._lags.longest + 1, env.substeps)
-        # All keys side by side at the rate of the physics, newest last, and the delay in its steps.
+        length = self._lags.ring(env.substeps, 1)
+        # A ring of all keys side by side at the rate of the physics, the place in it of the coming
+        # control step's, the same in all worlds, and the delay in physics steps.
         self.register_buffer("history", torch.zeros(env.num_envs, length, sum(self._sizes)))
+        self.register_buffer("slot", torch.zeros((), dtype=torch.long))
         self.register_buffer("lag", torch.zeros(env.num_envs, dtype=torch.long))
         self.register_buffer("row", torch.arange(env.num_envs))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
             self.lag = self._lags.draw(self.delay, self.lag.shape)
-        new = self._read(next_tensordict)
-        self.history = torch.cat([self.history[:, self.substeps :], new], 1)
+        slot = int(self.slot)
+        end = slot + self.substeps
+        self.history[:, slot:end] = self._read(next_tensordict)
+        self.slot.fill_(end % self.history.shape[1])
         return self._deliver(next_tensordict)
 
     def _read(self, tensordict: TensorDictBase) -> Tensor:
         return torch.cat([tensordict["substeps", key] for key in self.keys], -1)
 
     def _deliver(self, tensordict: TensorDictBase) -> TensorDictBase:
-        late = self.history[self.row, self.history.shape[1] - 1 - self.lag]
+        late = self.history[self.row, (self.slot - 1 - self.lag) % self.history.shape[1]]
         for key, value in zip(self.keys, late.split(self._sizes, -1), strict=True):
             tensordict[measured_key(key)] = value.contiguous()
         return tensordict

@@ -55,9 +55,12 @@ def heading(direction: str | Sequence[float], u: Tensor) -> Tensor:
             f"direction must be planar, spherical or a vector [x, y, z], got {direction!r}."
         )
     angle = 2 * math.pi * u[0]
-    z = torch.zeros_like(angle) if direction == "planar" else 2.0 * u[1] - 1.0
-    level = (1.0 - z.square()).sqrt()  # Archimedes: heights on a sphere are uniform
-    return torch.stack([level * angle.cos(), level * angle.sin(), z], -1)
+    cos, sin = angle.cos(), angle.sin()
+    if direction == "planar":
+        return torch.stack([cos, sin, torch.zeros_like(cos)], -1)
+    z = 2.0 * u[1] - 1.0  # Archimedes: heights on a sphere are uniform
+    level = (1.0 - z.square()).sqrt()
+    return torch.stack([level * cos, level * sin, z], -1)
 
 
 class Timing:

@@ -55,7 +55,7 @@ class PushForces:
         """
         share = force_share(self.begin, self.physics_dt, start, duration, self.profile)
         if len(self.bodies) == 1:
-            act = torch.einsum("nes,nec->nsc", share, force)
+            act = (share[..., None] * force[:, :, None]).sum(1)
             self._add_force(tensordict, int(self.bodies), act)
         else:
             act = torch.zeros(*share.shape[::2], 3)
