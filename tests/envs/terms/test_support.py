@@ -108,3 +108,19 @@ def test_no_double_support_no_reward(make_base):
     td = settled(make_base)
     td["feet_contact"] = torch.tensor([[True, True], [True, False]])
     assert com_in_support(td, td, robot=ZEROTH01, margin=0.01).tolist() == [[1.0], [0.0]]
+
+
+@pytest.mark.parametrize("in_place", [True, False])
+def test_the_polygon_is_that_of_now_also_when_asked_for_again(make_base, in_place):
+    """The left foot of one world loses its load: the right sole is left, in place or anew."""
+    td = settled(make_base)
+    before = support_hull(td, ZEROTH01)
+    assert support_hull(td, ZEROTH01) is before
+    load = td["feet_corner_force"] if in_place else td["feet_corner_force"].clone()
+    load[0, 0] = 0.0
+    td["feet_corner_force"] = load
+    after = support_hull(td, ZEROTH01)
+    assert after.used.sum(-1).tolist() == [4, 8]
+    assert torch.equal(after.points, before.points)
+    with torch.inference_mode():
+        assert support_hull(td.clone(), ZEROTH01).used.sum(-1).tolist() == [4, 8]

@@ -40,11 +40,31 @@ def sole_corners(td: TensorDictBase, robot: Robot) -> Tensor:
     return position.unsqueeze(-2) + rotate(quaternion, local.expand(*quaternion.shape[:-1], 3))
 
 
+_latest: tuple[Robot, list[tuple[Tensor, int]], Hull] | None = None
+
+
 def support_hull(td: TensorDictBase, robot: Robot) -> Hull:
     """Support polygon ``(*B, 8, ...)`` from the corners under load, see ``convex_hull``.
 
     Reads ``feet_position``, ``feet_orientation`` and ``feet_corner_force`` ``(*B, 2, 4)`` [N].
+    Asked again for the same tensors, it returns what it returned before: several terms of a table
+    need it, and it takes longer than all the rest of them.
     """
+    global _latest
+    read = [td[key] for key in ("feet_position", "feet_orientation", "feet_corner_force")]
+    if any(value.is_inference() for value in read):  # of these no one knows if they were changed
+        return _support_hull(td, robot)
+    latest = _latest
+    if latest is not None and latest[0] is robot:
+        same = zip(read, latest[1], strict=True)
+        if all(value is old and value._version == version for value, (old, version) in same):
+            return latest[2]
+    hull = _support_hull(td, robot)
+    _latest = robot, [(value, value._version) for value in read], hull
+    return hull
+
+
+def _support_hull(td: TensorDictBase, robot: Robot) -> Hull:
     corners = sole_corners(td, robot)[..., :2].flatten(-3, -2)
     return convex_hull(corners, td["feet_corner_force"].flatten(-2) > 0)
 
