@@ -152,6 +152,7 @@ class HumanoidEnv(EnvBase):
         self.servo_time_constant = servo_time_constant(model, robot)
         self._recorded: tuple[str, ...] = ()
         self._observed: dict[NestedKey, Tensor] | None = None  # what the last step or reset gave
+        # Of the last partial reset: what was there, what took its place, and its version then.
         self._merged: list[tuple[Tensor, Tensor, int]] = []
         self._stand = torch.tensor(model.key("stand").qpos.copy())
         self._quantities = Quantities(
@@ -303,7 +304,8 @@ class HumanoidEnv(EnvBase):
         """What the last partial reset gave in place of what was there, by ``id`` of the latter.
 
         Rows that were not reset are equal in both, so that nothing needs to be put together of
-        them. What has been written to since is left out.
+        them. What has been written to since is left out, as far as torch counts it: not what was
+        written through ``.data`` or ``.numpy()``. Valid until the next step or reset.
         """
         return {id(old): now for old, now, version in self._merged if now._version == version}
 

@@ -120,14 +120,13 @@ class Simulation:
             it. Rows that ``diverged`` are not to be used.
         """
         self._settle()
-        began = self._state[:, 0].clone()
         self._inputs[:, :, : self.model.nu] = control
         if self._stepped is None:
             self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
         else:
             self._roll_some(self._stepped)
         end, rows = self._states[:, -1], slice(None) if self._stepped is None else self._stepped
-        passed = end[:, 0] - began  # a world that MuJoCo gave up on lags behind
+        passed = end[:, 0] - self._state[:, 0]  # a world that MuJoCo gave up on lags behind
         late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
         self.diverged = ~torch.from_numpy(sound(end.numpy(), self._sensors[:, -1].numpy()))
         self.diverged[rows] |= late[rows]

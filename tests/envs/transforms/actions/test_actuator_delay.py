@@ -104,6 +104,26 @@ def test_partial_reset_draws_new_delays_for_its_rows_alone(make_base, at_rest):
     assert (transform.lag[:32] != before[:32]).sum() > 20
 
 
+@pytest.mark.parametrize("before", [1, 4, 5])
+def test_world_reset_amid_the_ring_waits_anew_and_the_other_goes_on(
+    make_base, send, at_rest, before
+):
+    """Commands late by 25 physics steps; after ``before`` control steps of 10 one world resets."""
+    base = make_base(num_envs=2)
+    transform = ActuatorDelay(base, delay=(0.1, 0.1))
+    transform._reset(TensorDict(batch_size=[2]), at_rest(base))
+    commands = torch.randn(2, 120, 20)
+    send(transform, commands[:, : 10 * before])
+    transform._reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]), at_rest(base))
+    out = send(transform, commands[:, 10 * before :])
+    late = 10 * before - 25  # of which command the first one after the reset is
+    waiting = base.stand_position.expand(25, 20)
+    assert torch.equal(out[0, :25], waiting)
+    assert torch.equal(out[0, 25:], commands[0, 10 * before : -25])
+    rest = torch.cat([waiting[: max(0, -late)], commands[1, max(0, late) : -25]])
+    assert torch.equal(out[1], rest)
+
+
 def test_delay_and_filter_may_stand_in_any_order(make_base, send, at_rest):
     """Both are linear and do not change with time, so that they commute."""
     base = make_base()

@@ -128,9 +128,10 @@ def test_delay_after_another_sensing_transform_is_refused(make_base):
 def test_partial_reset_forgets_the_past_of_its_rows_alone(make_base):
     env, delay = delayed(make_base, {"delay": (0.0, 0.08), "keys": ["joint_position"]}, num_envs=3)
     td = env.reset()
-    for _ in range(3):
+    for _ in range(4):
         td["action"] = torch.randn(3, 20)
         td = env.step(td)["next"]
+    assert delay.slot > 0  # amid the ring
     seen, history = td["measured", "joint_position"].clone(), delay.history.clone()
     lag = delay.lag.clone()
     td["_reset"] = torch.tensor([[False], [True], [False]])
