@@ -50,6 +50,19 @@ def calm():
     return env
 
 
+@pytest.mark.parametrize("speed", [1e7, 1e30])
+def test_physics_that_fails_ends_the_episode_for_good(calm, speed):
+    """A base that flies off faster than any physics, or so fast that MuJoCo gives up on it."""
+    calm.physics.data.qvel[2] = speed
+    time_step = calm.step(np.zeros(20))
+    assert time_step.step_type == StepType.LAST
+    assert time_step.discount == 0.0
+    assert np.isfinite(time_step.reward)
+    assert all(np.isfinite(value).all() for value in time_step.observation.values())
+    assert calm.task._simulation.diverged.tolist() == [False]  # it was put back on its feet
+    assert abs(calm.physics.data.qvel).max() < 1.0
+
+
 def test_torchrl_wraps_it_and_its_seed_holds():
     env = DMControlWrapper(load(random=0))
     check_env_specs(env)

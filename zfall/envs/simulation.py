@@ -24,7 +24,7 @@ BOUND = 1e6
 
 
 def sound(*values: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Worlds ``(N,)`` all of whose values ``(N, ...)`` are finite and within ``BOUND``."""
+    """Worlds ``(N,)`` all of whose values ``(N, V)`` are finite and within ``BOUND``."""
     # A sum of squares is one pass, and no value is larger than its root: most worlds need no more.
     squares = sum(np.einsum("nv,nv->n", array, array) for array in values)
     good = squares < BOUND**2
