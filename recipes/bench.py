@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,9 @@ import mujoco
 import torch
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
-from torchrl.envs import TransformedEnv
 
 from recipes.learner import Learner
 from recipes.one_line import check_keys, one_line_errors, start
@@ -26,11 +25,13 @@ from recipes.peers import measure_peers, memory_per_world
 from recipes.ranges import check_flags, check_number
 from recipes.run_folder import write_config
 from recipes.train import garbage_collector_of_new_things
-from zfall.envs.threads import physics_first
+from recipes.worlds import Worlds
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.threads import in_turns, physics_first
 
 FULL = "env=push_recovery_realistic"  # every kind of transform at once
 LOSSES = ["caps=atalante", "symmetry=loss"]  # beside PPO's
-ROUNDS = 8  # every figure is measured in turn, several times: the machine's speed drifts
+ROUNDS = 8  # every figure is measured once in each: the machine's speed drifts
 
 
 @hydra.main(version_base=None, config_path=".", config_name="bench")
@@ -63,25 +64,26 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     gru = Learner(compose("train", overrides=[*overrides, "actor=gru_mog"]))
     mlp_losses = Learner(compose("train", overrides=[*overrides, *LOSSES]))
     gru_losses = Learner(compose("train", overrides=[*overrides, *LOSSES, "actor=gru_mog"]))
-    env = instantiate(compose("train", overrides=overrides).env)
     for learner in (mlp, gru, mlp_losses, gru_losses):  # warm up, and have policies that move
         learner.learn(learner.collect())
-    full = instantiate(compose("train", overrides=[*overrides, FULL]).env)
-    stepper, full_stepper = EnvStepper(env, mlp), EnvStepper(full, mlp)
+    full_cfg = compose("train", overrides=[*overrides, FULL])
+    stepper, full_stepper = (EnvStepper(c, mlp, c.groups) for c in (mlp.cfg, full_cfg))
+    undivided = EnvStepper(mlp.cfg, mlp, 1)
     recorded, full_recorded = stepper.record(), full_stepper.record()
     tasks: dict[str, Callable[[float], float]] = {
-        "limit": lambda seconds: bare_physics(env, *recorded, seconds),
-        "limit_full": lambda seconds: bare_physics(full, *full_recorded, seconds),
-        "limit_together": lambda seconds: together(env, *recorded, seconds),
+        "limit": lambda seconds: bare_physics(stepper.base_env, *recorded, seconds),
+        "limit_full": lambda seconds: bare_physics(full_stepper.base_env, *full_recorded, seconds),
+        "limit_together": lambda seconds: together(stepper.base_env, *recorded, seconds),
         "env": stepper.run,
+        "env_undivided": undivided.run,
         "env_full": full_stepper.run,
         "train_mlp": lambda seconds: train(mlp, seconds),
         "train_gru": lambda seconds: train(gru, seconds),
         "train_mlp_losses": lambda seconds: train(mlp_losses, seconds),
         "train_gru_losses": lambda seconds: train(gru_losses, seconds),
     }
-    results = in_turns(tasks, cfg.seconds, report)
-    for name in ("env", *(name for name in tasks if name.startswith("train"))):
+    results = in_rounds(tasks, cfg.seconds, report)
+    for name in ("env", "env_undivided", *(name for name in tasks if name.startswith("train"))):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
     # Its physics has a ball too, that rests on the floor of every world.
     results["env_full_efficiency"] = results["env_full"] / results["limit_full"]
@@ -101,43 +103,42 @@ def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[s
     """Limit, env and training of one experiment, its env driven by its own untrained policy."""
     overrides = [f"experiment={cfg.only}", f"num_envs={cfg.num_envs}", f"seed={cfg.seed}"]
     learner = Learner(compose("train", overrides=overrides))
-    env = instantiate(learner.cfg.env)
-    stepper = EnvStepper(env, learner)
+    stepper, undivided = (EnvStepper(learner.cfg, learner, n) for n in (learner.cfg.groups, 1))
     recorded = stepper.record()
     tasks: dict[str, Callable[[float], float]] = {
-        "limit": lambda seconds: bare_physics(env, *recorded, seconds),
-        "limit_together": lambda seconds: together(env, *recorded, seconds),
+        "limit": lambda seconds: bare_physics(stepper.base_env, *recorded, seconds),
+        "limit_together": lambda seconds: together(stepper.base_env, *recorded, seconds),
         "env": stepper.run,
+        "env_undivided": undivided.run,
         "train": lambda seconds: train(learner, seconds),
     }
-    results = in_turns(tasks, cfg.seconds, report)
-    for name in ("env", "train"):
+    results = in_rounds(tasks, cfg.seconds, report)
+    for name in ("env", "env_undivided", "train"):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
     report("transforms")
     return results | stepper.transform_shares(cfg.seconds / 2)
 
 
-def in_turns(
+def in_rounds(
     tasks: dict[str, Callable[[float], float]], seconds: float, report: Callable[[str], None]
 ) -> dict[str, float]:
-    """Control steps/s of each task, measured in several turns of all: the machine drifts."""
+    """Control steps/s of each task, measured in several rounds of all: the machine drifts."""
     speeds: dict[str, list[float]] = {name: [] for name in tasks}
     with garbage_collector_of_new_things():
-        for turn in range(ROUNDS):
+        for number in range(ROUNDS):
             for name, task in tasks.items():
-                report(f"{name}, {turn + 1} of {ROUNDS}")
+                report(f"{name}, {number + 1} of {ROUNDS}")
                 speeds[name].append(task(seconds / ROUNDS))
     return {name: ROUNDS / sum(1 / v for v in values) for name, values in speeds.items()}
 
 
 def bare_physics(
-    env: TransformedEnv, states: torch.Tensor, controls: torch.Tensor, seconds: float
+    base: HumanoidEnv, states: torch.Tensor, controls: torch.Tensor, seconds: float
 ) -> float:
     """Control steps/s that ``mj_step`` alone would do on all cores, measured on one thread.
 
     Replays recorded states ``(K, size)`` and controls ``(K, nu)``: contacts cost time.
     """
-    base = env.base_env
     model, data = base.simulation.model, mujoco.MjData(base.simulation.model)
     state_rows, control_rows = states.numpy(), controls.double().numpy()
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -152,12 +153,12 @@ def bare_physics(
 
 
 def together(
-    env: TransformedEnv, states: torch.Tensor, controls: torch.Tensor, seconds: float
+    base: HumanoidEnv, states: torch.Tensor, controls: torch.Tensor, seconds: float
 ) -> float:
     """As ``bare_physics``, but measured on all cores at once, which share caches and clock."""
     cores = len(os.sched_getaffinity(0))
     with ThreadPoolExecutor(cores) as pool:
-        runs = [pool.submit(bare_physics, env, states, controls, seconds) for _ in range(cores)]
+        runs = [pool.submit(bare_physics, base, states, controls, seconds) for _ in range(cores)]
     return sum(done.result() for done in runs) / cores
 
 
@@ -190,55 +191,74 @@ def loss_shares(learner: Learner, rounds: int = 4) -> dict[str, float]:
 
 
 class EnvStepper:
-    """Steps the env with the actions of a policy drawn beforehand, resets included.
+    """Steps worlds with the actions of a policy drawn beforehand, resets included.
 
     Args:
-        env: the env, with all its transforms.
+        cfg: of the training whose worlds they are.
         learner: whose actor draws the actions.
+        groups: in which the worlds take turns, as in ``recipes.train``.
     """
 
-    def __init__(self, env: TransformedEnv, learner: Learner):
-        self.env = env
-        batch = learner.collect()
-        self.actions = batch["action"].unbind(1)
-        self.td = env.reset()
-        self.count = 0
+    def __init__(self, cfg: DictConfig, learner: Learner, groups: int | None):
+        self.worlds = Worlds(cfg.env, cfg.num_envs, groups)
+        self.envs = self.worlds.envs
+        self.actions = learner.collect()["action"].unbind(1)
+        sizes = [env.batch_size.numel() for env in self.envs]
+        self._actions = [action.split(sizes) for action in self.actions]
+        self._tds = [env.reset() for env in self.envs]
+        self._counts = [0] * len(self.envs)
 
-    def step(self) -> torch.Tensor:
-        """One control step of all worlds; returns its targets."""
-        self.td["action"] = self.actions[self.count % len(self.actions)]
-        data, self.td = self.env.step_and_maybe_reset(self.td)
-        self.count += 1
+    @property
+    def base_env(self) -> HumanoidEnv:
+        """The first of the base envs."""
+        return self.envs[0].base_env
+
+    def step(self, group: int) -> torch.Tensor:
+        """One control step of a group of worlds; returns its targets."""
+        td, count = self._tds[group], self._counts[group]
+        td["action"] = self._actions[count % len(self._actions)][group]
+        data, self._tds[group] = self.envs[group].step_and_maybe_reset(td)
+        self._counts[group] += 1
         return data["next", "target"]
 
     def run(self, seconds: float) -> float:
-        """Control steps/s of the env."""
-        with physics_first():
-            count, began = self.count, time.perf_counter()
+        """Control steps/s of all worlds, which take turns as they do in training."""
+        began, before = time.perf_counter(), list(self._counts)
+
+        def go_on(group: int) -> int:
             while time.perf_counter() - began < seconds:
-                self.step()
-            passed = time.perf_counter() - began
-        return (self.count - count) * self.env.batch_size.numel() / passed
+                self.step(group)
+            return (self._counts[group] - before[group]) * self.envs[group].batch_size.numel()
+
+        with physics_first():
+            done = sum(in_turns([partial(go_on, group) for group in range(len(self.envs))]))
+        return done / (time.perf_counter() - began)
 
     def record(self, steps: int = 40) -> tuple[torch.Tensor, torch.Tensor]:
         """States before a step and targets in it, of all worlds and some steps."""
-        simulation, states, controls = self.env.base_env.simulation, [], []
+        states, controls = [], []
         for _ in range(steps):
-            states.append(simulation.state_dict()["state"])
-            controls.append(self.step())
+            for group, env in enumerate(self.envs):
+                states.append(env.base_env.simulation.state_dict()["state"])
+                controls.append(self.step(group))
         return torch.cat(states), torch.cat(controls)
 
     def transform_shares(self, seconds: float) -> dict[str, float]:
-        """Share of each transform in the time of a step, ``transform/NAME``."""
+        """Share of each transform in the time of a step, ``transform/NAME``.
+
+        Beside it the physics of other worlds may run: without it a step would be less shorter.
+        """
         spent: dict[str, float] = {}
-        for transform in self.env.transform:
-            name = type(transform).__name__
-            key = f"transform/{name}"
-            while key in spent:
-                key += "'"
-            spent[key] = 0.0
-            for method in ("_inv_call", "_step", "_reset", "_reset_env_preprocess"):
-                setattr(transform, method, timed(getattr(transform, method), spent, key))
+        for env in self.envs:
+            seen: set[str] = set()
+            for transform in env.transform:
+                key = f"transform/{type(transform).__name__}"
+                while key in seen:
+                    key += "'"
+                seen.add(key)
+                spent.setdefault(key, 0.0)
+                for method in ("_inv_call", "_step", "_reset", "_reset_env_preprocess"):
+                    setattr(transform, method, timed(getattr(transform, method), spent, key))
         began = time.perf_counter()
         self.run(seconds)
         passed = time.perf_counter() - began

@@ -10,17 +10,16 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel
-from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.envs import TransformedEnv
 from torchrl.modules import set_recurrent_mode
-from torchrl.modules.utils import get_primers_from_module
 from torchrl.objectives.value import GAE
 
 from recipes.auxiliary import buffers_of, build, check_parameters, check_reads
 from recipes.averaging import moving_average
 from recipes.objective import ppo_loss
 from recipes.ranges import check_finite, check_ranges, check_task
+from recipes.worlds import Worlds
 from zfall.envs.model import identity_of
-from zfall.envs.threads import physics_first
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
@@ -41,7 +40,7 @@ class Learner:
         check_ranges(cfg)
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
-        self.env = instantiate(cfg.env)
+        self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups)
         check_task(self.env)
         spec, action_spec = self.env.observation_spec, self.env.action_spec
         self.actor = instantiate(cfg.actor, spec, action_spec)
@@ -78,10 +77,9 @@ class Learner:
         hidden = [key for module in (self.actor, *beside) for key in recurrent_keys(module)]
         for module in (self.actor, *beside):
             if recurrent_keys(module):
-                self.env.append_transform(get_primers_from_module(module))
+                self.worlds.remember(module)
         if cfg.burn_in and not hidden:
             raise ValueError(f"burn_in must be 0 without memory to refresh, got {cfg.burn_in}.")
-        self.env.set_seed(cfg.seed)
         self._acting = TensorDictSequential(self.actor, *beside) if beside else self.actor
         loss = cfg.loss
         self.advantage: GAE
@@ -128,7 +126,7 @@ class Learner:
                 f"minibatches must not be more than the {samples} {kind} of an update, "
                 f"got {cfg.minibatches}."
             )
-        self.carrier = self.env.reset()
+        self.worlds.begin(cfg.seed)
         given = {*self.carrier.keys(True, True), *self._acting.out_keys, *self.env.reward_keys}
         given |= {"state_value", "advantage", "value_target"}
         check_reads(reading, given)
@@ -147,20 +145,24 @@ class Learner:
         return self._average.module
 
     @property
+    def env(self) -> TransformedEnv:
+        """The env, or the first of them if the worlds are in groups."""
+        return self.worlds.env
+
+    @property
+    def carrier(self) -> TensorDictBase:
+        """What all worlds are in ``(N,)``, before the coming step."""
+        return self.worlds.carrier
+
+    @property
     def frames_per_batch(self) -> int:
         """Control steps of one update, over all worlds."""
         return int(self.cfg.num_envs * self.cfg.rollout_steps)
 
     def collect(self) -> TensorDictBase:
         """Runs the policy for ``rollout_steps``; returns the batch ``(N, T)``."""
-        steps = []
-        exploring = set_exploration_type(ExplorationType.RANDOM)
-        with torch.no_grad(), physics_first(), exploring:
-            for _ in range(self.cfg.rollout_steps):
-                data, self.carrier = self.env.step_and_maybe_reset(self._acting(self.carrier))
-                steps.append(data.select(*self._stored, strict=False))
         self.frames += self.frames_per_batch
-        return torch.stack(steps, 1)
+        return self.worlds.run(self._acting, self.cfg.rollout_steps, self._stored)
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Some passes of PPO over the batch; returns the means of the last pass."""
@@ -247,9 +249,7 @@ class Learner:
             "optimizer": self.optimizer.state_dict(),
             "scheduler": self.scheduler.state_dict() if self.scheduler else {},
             "buffers": {key: value.clone() for key, value in self._buffers().items()},
-            "env": self.env.base_env.state_dict(),
-            "transforms": self.env.transform.state_dict(),
-            "carrier": self.carrier.to_dict(),
+            "worlds": self.worlds.state_dict(),
             "rng": torch.get_rng_state(),
             "frames": self.frames,
             "updates": self.updates,
@@ -276,8 +276,6 @@ class Learner:
             self.scheduler.load_state_dict(state["scheduler"])
         for key, value in self._buffers().items():
             value.copy_(state["buffers"][key])
-        self.env.base_env.load_state_dict(state["env"])
-        self.env.transform.load_state_dict(state["transforms"])
-        self.carrier = self.carrier.from_dict(state["carrier"], batch_size=self.carrier.batch_size)
+        self.worlds.load_state_dict(state["worlds"])
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]

@@ -46,6 +46,10 @@ def check_ranges(cfg: DictConfig) -> None:
     """
     check_whole(cfg, _COUNTS, 1)
     check_whole(cfg, ("seed", "burn_in"))
+    if cfg.groups is not None:
+        check_whole(cfg, ("groups",), 1)
+        rule = f"be null, or at most the {cfg.num_envs} worlds of num_envs"
+        check_number(cfg.groups, "groups", lambda x: x <= cfg.num_envs, rule)
     check_number(
         cfg.burn_in, "burn_in", lambda x: 0 <= x < cfg.rollout_steps, "lie in [0, rollout_steps)"
     )

@@ -243,7 +243,10 @@ def _tests(
 
 def training_digest(cfg: DictConfig) -> str:
     """Tells a training from all others."""
-    wanted = {"config": OmegaConf.to_yaml(cfg, resolve=True), "env": env_digest(cfg.env)}
+    config = cfg.copy()
+    OmegaConf.set_struct(config, False)
+    config.pop("groups", None)  # of another number random numbers differ, but not what is trained
+    wanted = {"config": OmegaConf.to_yaml(config, resolve=True), "env": env_digest(cfg.env)}
     if cfg.warm_start is not None:
         wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start, key="warm_start"))
     losses = (cfg.get("auxiliary_losses") or {}).items()

@@ -12,6 +12,8 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zfall.envs.threads import others_turn
+
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 # Fields that others are derived from.
@@ -233,18 +235,19 @@ class Simulation:
         states: Tensor,
         sensors: Tensor,
     ) -> None:
-        self._pool.rollout(
-            models,
-            self._data,
-            state.numpy(),
-            inputs.numpy(),
-            control_spec=_INPUT,
-            skip_checks=True,
-            chunk_size=max(1, len(state) // (CHUNKS * self.threads)),
-            nstep=inputs.shape[1],
-            state=states.numpy(),
-            sensordata=sensors.numpy(),
-        )
+        arrays = (state.numpy(), inputs.numpy())
+        with others_turn():  # Python's lock is free
+            self._pool.rollout(
+                models,
+                self._data,
+                *arrays,
+                control_spec=_INPUT,
+                skip_checks=True,
+                chunk_size=max(1, len(state) // (CHUNKS * self.threads)),
+                nstep=inputs.shape[1],
+                state=states.numpy(),
+                sensordata=sensors.numpy(),
+            )
 
     def _roll_some(self, rows: Tensor) -> None:
         """Steps a few worlds, in copies of their rows."""

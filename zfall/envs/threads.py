@@ -1,9 +1,16 @@
 """Who may use the cores while the physics runs."""
 
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 import torch
+
+T = TypeVar("T")
+
+_turns = threading.local()  # ``mine``: the turns that a thread takes part in, and its place
 
 
 @contextmanager
@@ -19,3 +26,75 @@ def physics_first() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+def in_turns(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Runs tasks that step worlds of their own: the physics of one beside the Python of another.
+
+    Python uses one core, and while it does the physics' threads have nothing to do. Here they
+    have: a task hands over to the next one where an env of this package steps its physics, and
+    goes on once that is done and its turn has come again. One task at a time is in Python, in an
+    order that does not depend on how long anything takes: random numbers that the tasks share are
+    drawn alike in every run.
+
+    Each task runs in a thread of its own, where gradients are on: it has to switch them off
+    itself. What is the same for all threads, as TorchRL's type of exploration, is to be set around
+    the call, not within a task.
+
+    Args:
+        tasks: each called once, without arguments.
+
+    Returns:
+        What they returned, in their order.
+
+    Raises:
+        Exception: what the first task that failed raised, after the others have ended.
+    """
+    if len(tasks) == 1:
+        return [tasks[0]()]
+    turns = _Turns(len(tasks))
+
+    def run(place: int) -> T:
+        _turns.mine = (turns, place)
+        turns.wait(place)
+        try:
+            return tasks[place]()
+        finally:
+            turns.leave(place)
+
+    with ThreadPoolExecutor(len(tasks)) as pool:
+        return [done.result() for done in [pool.submit(run, k) for k in range(len(tasks))]]
+
+
+@contextmanager
+def others_turn() -> Iterator[None]:
+    """While it lasts the next of the tasks that run ``in_turns`` with the caller may go on."""
+    turns, place = getattr(_turns, "mine", (None, 0))
+    if turns is None:
+        yield
+        return
+    turns.hand_over(place)
+    try:
+        yield
+    finally:
+        turns.wait(place)
+
+
+class _Turns:
+    """Whose turn it is among some threads; that of the first to begin with."""
+
+    def __init__(self, count: int):
+        self._going = list(range(count))
+        self._calls = [threading.Semaphore(int(place == 0)) for place in range(count)]
+
+    def wait(self, place: int) -> None:
+        self._calls[place].acquire()
+
+    def hand_over(self, place: int) -> None:
+        after = self._going[(self._going.index(place) + 1) % len(self._going)]
+        self._calls[after].release()
+
+    def leave(self, place: int) -> None:
+        if len(self._going) > 1:
+            self.hand_over(place)
+        self._going.remove(place)
