@@ -33,12 +33,13 @@ def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
 
 def test_an_experiment_is_measured_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "ROUNDS", 1)
+    monkeypatch.setattr("recipes.worlds.PAYS_FROM", 8)  # in two groups, as more worlds are
     done = run("bench", *TINY, "only=quickstart", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "bench.json").read_text())
     speeds = {key for key in figures if not key.startswith("transform/")}
-    efficiencies = {"env_efficiency", "train_efficiency"}
-    assert speeds == {"limit", "limit_together", "env", "train"} | efficiencies
+    efficiencies = {f"{key}_efficiency" for key in ("env", "env_undivided", "train")}
+    assert speeds == {"limit", "limit_together", "env", "env_undivided", "train"} | efficiencies
     assert all(figures[key] > 0 for key in speeds)
     assert figures["train_efficiency"] == pytest.approx(figures["train"] / figures["limit"])
 

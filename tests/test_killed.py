@@ -42,21 +42,20 @@ def same(left: Any, right: Any) -> bool:
     return torch.equal(left, right) if isinstance(left, torch.Tensor) else left == right
 
 
-@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
-def test_a_run_killed_again_and_again_equals_the_one_left_alone(actor, tmp_path):
+@pytest.mark.parametrize(("actor", "groups"), [("mlp_gaussian", 1), ("gru_mog", 2)])
+def test_a_run_killed_again_and_again_equals_the_one_left_alone(actor, groups, tmp_path):
     """With every transform, curriculum, normaliser and loss on; kill -9 at five moments."""
     # Processes begin with all imports done.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["recipes.train"])
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    alone = context.Process(
-        target=train, args=([*COMMON, f"actor={actor}", f"hydra.run.dir={whole}"],)
-    )
+    own = [*COMMON, f"actor={actor}", f"groups={groups}"]
+    alone = context.Process(target=train, args=([*own, f"hydra.run.dir={whole}"],))
     alone.start()
     alone.join()
     assert alone.exitcode == 0
     moments = random.Random(0)
-    args = [*COMMON, f"actor={actor}", f"hydra.run.dir={parts}"]
+    args = [*own, f"hydra.run.dir={parts}"]
     for kill in range(KILLS):
         process = context.Process(target=train, args=(args,))
         process.start()

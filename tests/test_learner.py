@@ -23,7 +23,7 @@ def learner(request, compose_config) -> Learner:
     actor, critic = request.param.split()
     learner = Learner(
         compose_config(
-            "num_envs=16", "rollout_steps=16", f"actor={actor}", f"critic={critic}",
+            "num_envs=16", "groups=2", "rollout_steps=16", f"actor={actor}", f"critic={critic}",
             "env.transforms.limit.seconds=0.3", "env.transforms.push.interval=[0.0,0.1]",
         )
     )  # fmt: skip

@@ -184,12 +184,12 @@ class PhysicsSimulation:
         for states, now in zip(self.substates, (self.qpos, self.qvel), strict=True):
             states[:, step] = now if isinstance(step, int) else now[:, None]
 
-    def set_fields(self, rows: Tensor, fields: dict[str, Tensor]) -> None:
+    def set_fields(self, rows: Tensor, fields: dict[str, NDArray[np.float64]]) -> None:
         """Changes fields of the physics' model; see ``Simulation.set_fields``."""
         if rows.any() and fields:
             for name, value in fields.items():
                 owner = self.model.opt if name == "gravity" else self.model
-                getattr(owner, name)[:] = value[0].numpy()
+                getattr(owner, name)[:] = value[0]
             mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:

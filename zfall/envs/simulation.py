@@ -42,10 +42,11 @@ def site_poses(
     position = torch.empty(len(qpos), len(sites), 3, dtype=torch.float64)
     rotation = torch.empty(len(qpos), len(sites), 9, dtype=torch.float64)
     into = zip(qpos.numpy(), position.numpy(), rotation.numpy(), strict=True)
+    state_of, places, rotations = data.qpos, data.site_xpos, data.site_xmat
     for state, place, axes in into:  # kinematics alone: some microseconds each
-        data.qpos[:] = state
+        state_of[:] = state
         mujoco.mj_kinematics(model, data)
-        place[:], axes[:] = data.site_xpos[sites], data.site_xmat[sites]
+        place[:], axes[:] = places[sites], rotations[sites]
     return position, rotation.unflatten(-1, (3, 3))
 
 
@@ -161,7 +162,7 @@ class Simulation:
         self._sensors[index] = self._sensors_of(qpos, qvel, control, index)[:, None]
         return self._sensors
 
-    def set_fields(self, rows: Tensor, fields: dict[str, Tensor]) -> None:
+    def set_fields(self, rows: Tensor, fields: dict[str, NDArray[np.float64]]) -> None:
         """Gives the worlds in ``rows`` ``(N,)`` bool a model of their own with other values.
 
         What MuJoCo derives from masses and inertias is computed anew.
@@ -177,10 +178,9 @@ class Simulation:
             self._models = [copy.copy(self.model) for _ in self._models]
         self._settle()
         derive = not _CONSTANTS.isdisjoint(fields)
-        values = {name: value.numpy() for name, value in fields.items()}
         changed = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
         for k, model in enumerate(changed):
-            for name, value in values.items():
+            for name, value in fields.items():
                 getattr(model.opt if name == "gravity" else model, name)[:] = value[k]
         if derive:  # some hundred microseconds each, outside of Python's lock
 
@@ -212,12 +212,14 @@ class Simulation:
         data = self._data[0]
         sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)
         data.time, data.xfrc_applied[:] = 0.0, 0.0
+        arrays = (data.qpos, data.qvel, data.ctrl, data.qacc_warmstart, data.sensordata)
+        place_of, speed_of, target_of, start_of, read = arrays  # MuJoCo makes a view each time
         states = zip(qpos.numpy(), qvel.numpy(), control.numpy(), sensors.numpy(), strict=True)
         for row, (position, velocity, target, values) in zip(index.tolist(), states, strict=True):
-            data.qpos[:], data.qvel[:], data.ctrl[:] = position, velocity, target
-            data.qacc_warmstart[:] = 0.0
+            place_of[:], speed_of[:], target_of[:] = position, velocity, target
+            start_of[:] = 0.0
             mujoco.mj_forward(self._models[row], data)
-            values[:] = data.sensordata
+            values[:] = read
         return sensors
 
     def _full_state(self, qpos: Tensor, qvel: Tensor) -> Tensor:
