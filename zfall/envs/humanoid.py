@@ -346,7 +346,7 @@ class HumanoidEnv(EnvBase):
     def _place(self, rows: Tensor, start: dict[str, Tensor]) -> Tensor:
         """Puts worlds into their start state; returns the sensor values of all worlds."""
         count = int(rows.sum())
-        qpos = self._stand.repeat(count, 1)
+        qpos = self._stand.expand(count, -1).clone()
         qvel = torch.zeros(count, self.simulation.qvel.shape[1], dtype=torch.float64)
         places: dict[str, tuple[Tensor, Any]] = {
             "joint_position": (qpos, self._quantities.qpos_index),

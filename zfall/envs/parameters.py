@@ -119,8 +119,8 @@ class PhysicsParameters:
                 )
             new, old = value.numpy()[places].astype(np.float32), self.values[name]
             low, high = RANGES.get(name, ANY_NUMBER)
-            sound = (new >= low) & (new <= high) & np.isfinite(new)
-            if not sound.all():
+            if new.size and not (low <= new.min() and new.max() <= high and np.isfinite(new).all()):
+                sound = (new >= low) & (new <= high) & np.isfinite(new)
                 raise ValueError(
                     f"{name} must be finite and within [{low:.3g}, {high:.3g}], "
                     f"got {new[~sound][0]:.3g}."

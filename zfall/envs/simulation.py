@@ -3,7 +3,6 @@
 import copy
 import os
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 
 import mujoco
 import numpy as np
@@ -43,10 +42,11 @@ def site_poses(
     rotation = torch.empty(len(qpos), len(sites), 9, dtype=torch.float64)
     into = zip(qpos.numpy(), position.numpy(), rotation.numpy(), strict=True)
     state_of, places, rotations = data.qpos, data.site_xpos, data.site_xmat
+    index = np.asarray(sites)
     for state, place, axes in into:  # kinematics alone: some microseconds each
         state_of[:] = state
         mujoco.mj_kinematics(model, data)
-        place[:], axes[:] = places[sites], rotations[sites]
+        place[:], axes[:] = places[index], rotations[index]
     return position, rotation.unflatten(-1, (3, 3))
 
 
@@ -83,11 +83,8 @@ class Simulation:
         self._models = [model] * num_worlds  # one object for all until set_fields
         self.threads = threads or len(os.sched_getaffinity(0))
         self._pool = rollout.Rollout(nthread=self.threads)
-        self._workers = ThreadPoolExecutor(self.threads)  # for what is not a step
         self._data = [mujoco.MjData(model) for _ in range(self.threads)]
-        self._scratch = [mujoco.MjData(model) for _ in range(self.threads)]  # of the workers
         self._stepped: Tensor | None = None  # numbers of the worlds that step; None: all
-        self._deriving: list[Future[None]] = []
         size = mujoco.mj_stateSize(model, _STATE)
         inputs = model.nu + 6 * model.nbody
         self._state = torch.zeros(num_worlds, size, dtype=torch.float64)
@@ -122,7 +119,6 @@ class Simulation:
             next call overwrites. Those of step i describe the state before it and the forces in
             it. Rows that ``diverged`` are not to be used.
         """
-        self._settle()
         self._inputs[:, :, : self.model.nu] = control
         if self._stepped is None:
             self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
@@ -176,25 +172,13 @@ class Simulation:
             return
         if self._models[0] is self.model:
             self._models = [copy.copy(self.model) for _ in self._models]
-        self._settle()
         derive = not _CONSTANTS.isdisjoint(fields)
         changed = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
         for k, model in enumerate(changed):
             for name, value in fields.items():
                 getattr(model.opt if name == "gravity" else model, name)[:] = value[k]
-        if derive:  # some hundred microseconds each, outside of Python's lock
-
-            def derive_of(thread: int) -> None:
-                for model in changed[thread :: self.threads]:
-                    mujoco.mj_setConst(model, self._scratch[thread])
-
-            self._deriving = [self._workers.submit(derive_of, t) for t in range(self.threads)]
-
-    def _settle(self) -> None:
-        """Waits for the constants of new models, which are derived beside the caller's work."""
-        deriving, self._deriving = self._deriving, []
-        for task in deriving:
-            task.result()
+            if derive:
+                mujoco.mj_setConst(model, self._data[0])
 
     def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Positions ``(K, n, 3)`` [m] and rotation matrices ``(K, n, 3, 3)`` of n sites.
@@ -207,7 +191,6 @@ class Simulation:
 
     def _sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, index: Tensor) -> Tensor:
         """Sensor values ``(K, nsensordata)`` of new states of the worlds in ``index``."""
-        self._settle()
         # A loop, for these are few rows between two steps: threads would take longer to wake up.
         data = self._data[0]
         sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)

@@ -12,7 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.parameters import ANY_NUMBER, RANGES
 from zfall.envs.rotations import rotate
-from zfall.envs.transforms.values import reset_rows, two_numbers
+from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 
 _KINDS = ("uniform", "log_uniform", "normal")
 
@@ -95,7 +95,8 @@ class DomainRandomization(Transform):
             for name, distribution in self.params.items()
         }
         self._set(TensorDict(drawn, batch_size=[self.num_envs]), rows)
-        self.clock = torch.where(rows, 0.0, self.clock)
+        if self.interval is not None:
+            self.clock = torch.where(rows, 0.0, self.clock)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         for name in self.params:
@@ -116,7 +117,7 @@ def draw(
     (kind,) = (kind for kind in _KINDS if kind in distribution)
     width = 1 if distribution.get("shared", False) else shape[1]
     # Bounds may be one pair for all worlds or, from a curriculum, a pair for each (2, N).
-    first, second = (torch.as_tensor(x).reshape(-1, 1) for x in distribution[kind])
+    first, second = (per_world(x, 2) for x in distribution[kind])
     if kind == "normal":
         values = first + second * torch.randn(shape[0], width, generator=rng)
         values = values.clamp(*bounds)
@@ -128,7 +129,7 @@ def draw(
             values = first * (second / first) ** u
     clip = distribution.get("clip")
     if clip is not None:
-        low, high = (torch.as_tensor(x).reshape(-1, 1) for x in clip)
+        low, high = (torch.as_tensor(per_world(x, 2)) for x in clip)
         values = torch.clamp(values, low, high)
     return values.float().expand(shape)
 
