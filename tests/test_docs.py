@@ -55,6 +55,15 @@ def test_the_example_of_an_own_transform_obeys_its_law(tmp_path, monkeypatch):
     sys.modules.pop("wind")
 
 
+def test_the_example_of_worlds_in_turns_collects_a_batch():
+    page = (ROOT / "docs" / "learning.md").read_text()
+    (block,) = re.findall(r"```python\n(from hydra import .*?)```", page, re.DOTALL)
+    space: dict[str, Any] = {"policy": lambda td: td.set("action", torch.zeros(len(td), 20))}
+    exec(block.replace("512", "6").replace("cfg.num_envs)", "cfg.num_envs, 2)"), space)
+    assert space["batch"].shape == (6, 16)
+    assert space["batch"]["next", "reward"].shape == (6, 16, 1)
+
+
 def test_an_own_transform_takes_part_in_training(tmp_path, monkeypatch, compose_config):
     module, *_ = BLOCKS
     (tmp_path / "wind.py").write_text(module)
