@@ -205,7 +205,8 @@ class EnvStepper:
         self.actions = learner.collect()["action"].unbind(1)
         sizes = [env.batch_size.numel() for env in self.envs]
         self._actions = [action.split(sizes) for action in self.actions]
-        self._tds = [env.reset() for env in self.envs]
+        self.worlds.begin(cfg.seed)
+        self._tds = self.worlds.carriers
         self._counts = [0] * len(self.envs)
 
     @property
@@ -244,9 +245,9 @@ class EnvStepper:
         return torch.cat(states), torch.cat(controls)
 
     def transform_shares(self, seconds: float) -> dict[str, float]:
-        """Share of each transform in the time of a step, ``transform/NAME``.
+        """Share of each transform in the time that passes, ``transform/NAME``.
 
-        Beside it the physics of other worlds may run: without it a step would be less shorter.
+        The physics of other worlds goes on meanwhile: not all of it would be saved.
         """
         spent: dict[str, float] = {}
         for env in self.envs:

@@ -267,6 +267,7 @@ class Learner:
                     f"{place}.teacher must be what it was when the run began, its weights have "
                     "changed: put them back, or begin anew."
                 )
+        self.worlds.load_state_dict(state["worlds"])  # first, as it may refuse
         self.actor.load_state_dict(state["actor"])
         self.policy.load_state_dict(state["policy"])
         self._average.n_averaged.fill_(state["averaged"])
@@ -276,6 +277,5 @@ class Learner:
             self.scheduler.load_state_dict(state["scheduler"])
         for key, value in self._buffers().items():
             value.copy_(state["buffers"][key])
-        self.worlds.load_state_dict(state["worlds"])
         torch.set_rng_state(state["rng"])
         self.frames, self.updates = state["frames"], state["updates"]

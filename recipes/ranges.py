@@ -4,11 +4,12 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from omegaconf import DictConfig, ListConfig
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import EnvBase
 
 from recipes.one_line import check_keys
+from recipes.worlds import group_sizes
 
 _COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 _TABLES = {
@@ -48,8 +49,10 @@ def check_ranges(cfg: DictConfig) -> None:
     check_whole(cfg, ("seed", "burn_in"))
     if cfg.groups is not None:
         check_whole(cfg, ("groups",), 1)
-        rule = f"be null, or at most the {cfg.num_envs} worlds of num_envs"
-        check_number(cfg.groups, "groups", lambda x: x <= cfg.num_envs, rule)
+    group_sizes(cfg.num_envs, cfg.groups)
+    own = OmegaConf.select(cfg, "env.base_env.num_envs")
+    if own is not None and own != cfg.num_envs:
+        raise ValueError(f"env.base_env.num_envs must be left to num_envs, got {own}.")
     check_number(
         cfg.burn_in, "burn_in", lambda x: 0 <= x < cfg.rollout_steps, "lie in [0, rollout_steps)"
     )

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 from recipes.learner import Learner
-from recipes.run_folder import RunFolder
+from recipes.run_folder import VERSION, RunFolder
 from recipes.train import resumed_config, train
 from tests.shell import ROOT, TINY, run
 from zfall import checkpoint
@@ -121,7 +121,7 @@ def test_a_run_of_another_version_is_not_gone_on_with(trained, tmp_path):
     (tmp_path / "metrics.csv").write_text("update,falls\n1,3\n")
     done = run("train", f"resume={tmp_path}", "total_frames=96")
     assert done.returncode != 0
-    assert "must be a run of version 5 to go on with it, got None" in done.stderr
+    assert f"must be a run of version {VERSION} to go on with it, got None" in done.stderr
     assert (tmp_path / "metrics.csv").read_text() == "update,falls\n1,3\n"
 
 

@@ -48,9 +48,16 @@ def row(td, next_td):
 BAD = [
     (["num_envs=0"], "num_envs must be at least 1, got 0"),
     (["num_envs=-4"], "num_envs must be at least 1, got -4"),
+    (
+        ["num_envs=4", "env.base_env.num_envs=3"],
+        "env.base_env.num_envs must be left to num_envs, got 3",
+    ),
     (["groups=0"], "groups must be at least 1, got 0"),
     (["groups=two"], "groups must be a whole number, got two"),
-    (["num_envs=4", "groups=5"], "groups must be null, or at most the 4 worlds of num_envs, got 5"),
+    (
+        ["num_envs=4", "groups=5"],
+        "groups must be null, or from 1 to the 4 worlds of num_envs, got 5",
+    ),
     (["num_envs=abc"], "num_envs must be a whole number, got abc"),
     (["total_frames=inf"], "total_frames must be a positive number, got inf"),
     (["total_frame=3"], "loss); did you mean total_frames? A new one begins with a +."),

@@ -2,15 +2,18 @@
 
 import random
 import time
+from contextlib import contextmanager
 
 import pytest
 import torch
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 from tensordict import TensorDictBase
 
 from recipes.study_plan import training_digest
 from recipes.worlds import Worlds, group_sizes
-from zfall.envs.simulation import Simulation
+from zfall.envs import simulation
+from zfall.envs.threads import others_turn
 
 HARD = ("env=push_recovery_realistic", "env.transforms.limit.seconds=0.3",
         "env.transforms.push.interval=[0.0,0.1]")  # fmt: skip
@@ -60,15 +63,17 @@ def test_each_group_is_what_it_would_be_alone(compose_config):
 def test_shared_random_numbers_are_drawn_alike_however_long_the_physics_takes(
     compose_config, monkeypatch
 ):
-    roll, pauses = Simulation._roll, random.Random(0)
+    pauses = random.Random(0)
 
-    def late(self, *args):
-        time.sleep(pauses.uniform(0.0, 0.01))
-        roll(self, *args)
+    @contextmanager
+    def late():
+        with others_turn():
+            yield
+            time.sleep(pauses.uniform(0.0, 0.01))
 
     batches = []
-    for function in (roll, late, late):
-        monkeypatch.setattr(Simulation, "_roll", function)
+    for function in (others_turn, late, late):
+        monkeypatch.setattr(simulation, "others_turn", function)
         torch.manual_seed(5)
         worlds = Worlds(compose_config(*HARD).env, 6, groups=3)
         worlds.begin(seed=1)
@@ -89,6 +94,24 @@ def test_state_in_the_middle_of_episodes_goes_on_bit_for_bit(compose_config):
     batch = others.run(steady, 15, KEYS)
     for key in KEYS:
         assert torch.equal(batch[key], expected[key]), key
+
+
+def test_a_state_of_other_groups_and_a_run_before_it_began_are_refused(compose_config):
+    env_cfg = compose_config().env
+    worlds, others = Worlds(env_cfg, 5, groups=2), Worlds(env_cfg, 5, groups=1)
+    with pytest.raises(RuntimeError, match=r"Worlds\.begin must come before Worlds\.run"):
+        worlds.run(steady, 1, KEYS)
+    for each in (worlds, others):
+        each.begin(seed=0)
+    with pytest.raises(ValueError, match=r"groups must be .* of \[3, 2\] worlds, got \[5\]"):
+        others.load_state_dict(worlds.state_dict())
+
+
+def test_an_env_that_cannot_be_spread_is_one_group():
+    env_cfg = OmegaConf.create({"_target_": "tests.memory_task.make_env", "num_envs": 300})
+    assert [len(env.reset()) for env in Worlds(env_cfg, 300).envs] == [300]
+    with pytest.raises(ValueError, match=r"groups must be 1 or null without env\.base_env, got 2"):
+        Worlds(env_cfg, 300, groups=2)
 
 
 def test_a_training_is_the_same_in_any_number_of_groups(compose_config):

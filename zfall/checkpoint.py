@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-FORMAT = 7  # raise it when what a checkpoint holds changes
+FORMAT = 7  # raise it when policies written before can no longer be read
 
 
 def save(path: Path, content: dict[str, Any]) -> None:

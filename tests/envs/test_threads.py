@@ -1,10 +1,11 @@
+import signal
 import threading
 import time
 
 import pytest
 import torch
 
-from zfall.envs.threads import in_turns, others_turn, physics_first
+from zfall.envs.threads import _Turns, in_turns, others_turn, physics_first
 
 
 def test_torch_gets_its_threads_back_even_after_an_error():
@@ -57,35 +58,52 @@ def test_the_next_one_goes_on_while_the_physics_runs_and_only_then():
     assert most == [1, 1]
 
 
-def test_a_task_that_fails_lets_the_others_end_and_is_told():
-    ended = []
+def failing():
+    with others_turn():
+        pass
+    raise ValueError("no such world")
 
-    def failing():
-        with others_turn():
-            pass
-        raise ValueError("no such world")
 
-    def other():
-        for _ in range(5):
+@pytest.mark.parametrize("first", [True, False])
+def test_a_task_that_fails_ends_the_others_and_is_told(first):
+    begun, ended = threading.Event(), []
+
+    def endless():
+        for _ in range(3000):
+            begun.set()
             with others_turn():
-                pass
+                time.sleep(0.01)
         ended.append(True)
 
+    tasks = [failing, endless] if first else [endless, failing]
     with pytest.raises(ValueError, match="no such world"):
-        in_turns([failing, other])
-    with pytest.raises(ValueError, match="no such world"):
-        in_turns([other, failing])
-    assert ended == [True, True]
+        in_turns(tasks)
+    assert begun.is_set()
+    assert not ended
 
 
-def test_torch_has_one_thread_in_every_task():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        with physics_first():
-            assert in_turns([torch.get_num_threads] * 2) == [1, 1]
-    finally:
-        torch.set_num_threads(before)
+def test_an_interrupt_ends_all_at_their_next_turn():
+    def endless():
+        for _ in range(3000):
+            with others_turn():
+                time.sleep(0.01)
+
+    main = threading.main_thread().ident
+    threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
+    began = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        in_turns([endless, endless])
+    assert time.perf_counter() - began < 5.0
+
+
+def test_who_leaves_is_gone_before_the_next_one_looks(monkeypatch):
+    """Else the next one would hand over to a thread that is not there, and wait for ever."""
+    turns, seen = _Turns(3), []
+    for call in turns._calls:
+        monkeypatch.setattr(call, "release", lambda: seen.append(list(turns._going)))
+    turns.leave(2)
+    turns.leave(0)
+    assert seen == [[0, 1], [1]]
 
 
 def test_one_task_alone_needs_no_other_thread_and_no_turn():

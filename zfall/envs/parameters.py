@@ -117,7 +117,7 @@ class PhysicsParameters:
                     f"{name} must have the shape {tuple(self.values[name].shape)}, "
                     f"got {tuple(value.shape)}."
                 )
-            new, old = value.numpy()[places].astype(np.float32), self.values[name]
+            new, old = value.detach().float().numpy()[places], self.values[name]
             low, high = RANGES.get(name, ANY_NUMBER)
             if new.size and not (low <= new.min() and new.max() <= high and np.isfinite(new).all()):
                 sound = (new >= low) & (new <= high) & np.isfinite(new)

@@ -221,7 +221,7 @@ class Simulation:
         sensors: Tensor,
     ) -> None:
         arrays = (state.numpy(), inputs.numpy())
-        with others_turn():  # Python's lock is free
+        with others_turn():  # most of it without Python's lock
             self._pool.rollout(
                 models,
                 self._data,

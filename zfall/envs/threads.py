@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, CancelledError, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -33,13 +33,13 @@ def in_turns(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
     Python uses one core, and while it does the physics' threads have nothing to do. Here they
     have: a task hands over to the next one where an env of this package steps its physics, and
-    goes on once that is done and its turn has come again. One task at a time is in Python, in an
-    order that does not depend on how long anything takes: random numbers that the tasks share are
-    drawn alike in every run.
+    goes on once that is done and its turn has come again. Turns follow each other in an order that
+    does not depend on how long anything takes: random numbers that the tasks share are drawn alike
+    in every run.
 
-    Each task runs in a thread of its own, where gradients are on: it has to switch them off
-    itself. What is the same for all threads, as TorchRL's type of exploration, is to be set around
-    the call, not within a task.
+    Each task runs in a thread of its own, with torch's modes as they are in a new thread: it has
+    to switch gradients off itself. What is the same for all threads, as TorchRL's type of
+    exploration, is to be set around the call, not within a task.
 
     Args:
         tasks: each called once, without arguments.
@@ -48,7 +48,7 @@ def in_turns(tasks: Sequence[Callable[[], T]]) -> list[T]:
         What they returned, in their order.
 
     Raises:
-        Exception: what the first task that failed raised, after the others have ended.
+        Exception: what a task raised; the others end where their turn would have come.
     """
     if len(tasks) == 1:
         return [tasks[0]()]
@@ -63,7 +63,13 @@ def in_turns(tasks: Sequence[Callable[[], T]]) -> list[T]:
             turns.leave(place)
 
     with ThreadPoolExecutor(len(tasks)) as pool:
-        return [done.result() for done in [pool.submit(run, k) for k in range(len(tasks))]]
+        try:
+            runs = [pool.submit(run, place) for place in range(len(tasks))]
+            for done in wait(runs, return_when=FIRST_EXCEPTION).done:
+                done.result()  # raises what a task raised, while others may not be over
+            return [done.result() for done in runs]
+        finally:  # with all of them over it changes nothing
+            turns.cancel()
 
 
 @contextmanager
@@ -86,15 +92,30 @@ class _Turns:
     def __init__(self, count: int):
         self._going = list(range(count))
         self._calls = [threading.Semaphore(int(place == 0)) for place in range(count)]
+        self._cancelled = False
 
     def wait(self, place: int) -> None:
+        """Comes back when it is the turn of the thread in ``place``.
+
+        Raises:
+            CancelledError: if there are no more turns.
+        """
         self._calls[place].acquire()
+        if self._cancelled:
+            raise CancelledError
+
+    def cancel(self) -> None:
+        """Ends all that wait for their turn, now or later."""
+        self._cancelled = True
+        for call in self._calls:
+            call.release()
 
     def hand_over(self, place: int) -> None:
         after = self._going[(self._going.index(place) + 1) % len(self._going)]
         self._calls[after].release()
 
     def leave(self, place: int) -> None:
-        if len(self._going) > 1:
-            self.hand_over(place)
-        self._going.remove(place)
+        after = self._going.index(place)
+        self._going.remove(place)  # before the next one wakes up, and looks who is there
+        if self._going:
+            self._calls[self._going[after % len(self._going)]].release()
