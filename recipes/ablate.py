@@ -65,7 +65,15 @@ def launch(todo: list[int], runs: list[Run], cfg: DictConfig) -> None:
     title = TextColumn(f"study {cfg.study.name}")
     with Progress(title, BarColumn(), *columns, *left, console=Console()) as bar:
         done = threading.Event()
-        follower = threading.Thread(target=follow, args=(bar, runs, cfg, done))
+        # Paths and numbers alone: a config that one thread copies cannot be read in another.
+        folders = [[run_folder(Path(cfg.runs), each) for each in run.trainings] for run in runs]
+        frames = {
+            folder: int(each.total_frames)
+            for run, own in zip(runs, folders, strict=True)
+            for each, folder in zip(run.trainings, own, strict=True)
+        }
+        given = (bar, runs, folders, frames, Path(cfg.results), done)
+        follower = threading.Thread(target=follow, args=given)
         follower.start()
         try:
             if cfg.launcher == "basic":
@@ -78,19 +86,30 @@ def launch(todo: list[int], runs: list[Run], cfg: DictConfig) -> None:
             follower.join()
 
 
-def follow(bar: Progress, runs: list[Run], cfg: DictConfig, done: threading.Event) -> None:
-    """Keeps the bar up to date, from the files of the runs."""
-    folders = {run_folder(Path(cfg.runs), each): each for run in runs for each in run.trainings}
-    total = sum(int(each.total_frames) for each in folders.values())
-    task = bar.add_task("study", total=round(total / 1e6, 2))
+def follow(
+    bar: Progress,
+    runs: list[Run],
+    folders: list[list[Path]],
+    frames: Mapping[Path, int],
+    results: Path,
+    done: threading.Event,
+) -> None:
+    """Keeps the bar up to date, from the files of the runs.
+
+    Args:
+        folders: of the trainings of each run.
+        frames: to be trained in each folder.
+        done: ends it.
+    """
+    task = bar.add_task("study", total=round(sum(frames.values()) / 1e6, 2))
     while not done.wait(2.0):
-        missing = [run for run in runs if unfinished(run, Path(cfg.results))]
-        needed = {run_folder(Path(cfg.runs), each) for run in missing for each in run.trainings}
-        frames = sum(
-            frames_done(each, folder) if folder in needed else int(each.total_frames)
-            for folder, each in folders.items()
+        pairs = zip(runs, folders, strict=True)
+        needed = {folder for run, own in pairs if unfinished(run, results) for folder in own}
+        trained = sum(
+            frames_done(total, folder) if folder in needed else total
+            for folder, total in frames.items()
         )
-        bar.update(task, completed=round(frames / 1e6, 2))
+        bar.update(task, completed=round(trained / 1e6, 2))
 
 
 def submit(todo: list[int], cfg: DictConfig) -> None:

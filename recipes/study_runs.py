@@ -131,8 +131,8 @@ def write(run: Run, test: Test, values: dict[str, float], cfg: DictConfig) -> No
     temporary.replace(path)
 
 
-def frames_done(cfg: DictConfig, folder: Path) -> int:
-    """Frames of a training so far."""
+def frames_done(total: int, folder: Path) -> int:
+    """Frames of a training so far, of those it is to have."""
     path = folder / "metrics.csv"
     lines = path.read_text().splitlines() if path.exists() else []
-    return min(int(lines[-1].split(",")[1]), int(cfg.total_frames)) if len(lines) > 1 else 0
+    return min(int(lines[-1].split(",")[1]), total) if len(lines) > 1 else 0
