@@ -13,12 +13,14 @@ import yaml
 from hydra import compose, initialize_config_module
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from rich.progress import Progress
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 from recipes import study_plan, study_runs
+from recipes.ablate import follow
 from recipes.run_folder import VERSION
-from recipes.study_plan import Run, battery_of, in_test, plan
+from recipes.study_plan import Run, Test, battery_of, in_test, plan
 from tests.shell import run
 from zfall import checkpoint
 from zfall.evaluation.battery import battery_env
@@ -145,6 +147,36 @@ def test_two_policies_are_trained_once_and_tested_in_each_world(studies, tmp_pat
     figures = pd.read_csv(tmp_path / "results" / "falls.csv")
     assert set(figures["test"]) == {"tilt", "late"}
     assert set(figures["row"]) == {"two", "one", "script"}
+
+
+def test_the_bar_follows_files_and_reads_no_config(tmp_path):
+    """One run is finished, its folder gone; one has trained 1.2 million of 2; configs are none."""
+    runs = [Run("row", seed, None, None, (Test("", None, f"t{seed}"),)) for seed in (0, 1)]
+    folders, results = [[tmp_path / "a"], [tmp_path / "b"]], tmp_path / "results"
+    for path, text in (
+        (study_runs.result_file(results, runs[0].tests[0]), ""),
+        (tmp_path / "b" / "metrics.csv", "update,frames\n1,1200000\n"),
+    ):
+        path.parent.mkdir(parents=True)
+        path.write_text(text)
+
+    class Twice:
+        waits: ClassVar = [False, True]
+
+        def wait(self, seconds: float) -> bool:
+            return self.waits.pop(0)
+
+    with Progress(disable=True) as bar:
+        follow(
+            bar,
+            runs,
+            folders,
+            {tmp_path / "a": 1_000_000, tmp_path / "b": 2_000_000},
+            results,
+            Twice(),
+        )
+        (task,) = bar.tasks
+    assert (task.completed, task.total) == (2.2, 3.0)
 
 
 def test_worlds_are_the_rows_of_a_study_with_one_row(studies, tmp_path):

@@ -30,5 +30,12 @@ def test_best_gru_is_configured_as_it_was_trained(compose_config):
     content = checkpoint.load(POLICIES / "best_gru.pt")
     cfg = compose_config("experiment=best_gru", "showcase=null")
     trained = DictConfig(OmegaConf.create(content["config"]))
-    trained.groups = None  # there were none
+    trained.groups, trained.actor.residual = None, False  # there were none
     assert trained == cfg
+
+
+def test_the_network_of_the_report_is_the_one_that_ships(compose_config):
+    content = checkpoint.load(POLICIES / "zeroth_fall.pt")
+    trained = DictConfig(OmegaConf.create(content["config"])).actor
+    trained.residual = False  # there was none
+    assert trained == compose_config("experiment=zeroth_fall_laptop").actor

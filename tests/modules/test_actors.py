@@ -189,10 +189,26 @@ def test_layers_of_a_stacked_gru_begin_different():
     assert not torch.equal(weights[1], weights[2])
 
 
-def test_replaying_a_sequence_gives_the_log_probabilities_of_collection():
+def test_past_layers_that_give_nothing_a_residual_actor_is_linear():
+    """A cell of zeros keeps a memory of 0: what is left are the two linear layers."""
+    actor = gru_actor(*specs(), residual=True, normalize=False, components=0)
+    encoder, gru, _, head = actor[0]
+    for parameter in gru.parameters():
+        parameter.data.zero_()
+    td = TensorDict({"observation": torch.randn(2, 50), "is_init": torch.ones(2, 1).bool(),
+                     "recurrent_state_actor": torch.zeros(2, 3, 64)}, batch_size=[2])  # fmt: skip
+    first, second = encoder.module[0], head.module.mean
+    weight = second.weight @ first.weight
+    bias = second.weight @ first.bias + second.bias
+    assert weight.abs().max() > 1e-4
+    assert_close(actor.get_dist(td).mean, td["observation"] @ weight.T + bias)
+
+
+@pytest.mark.parametrize("residual", [False, True])
+def test_replaying_a_sequence_gives_the_log_probabilities_of_collection(residual):
     """With resets at known and at random places, and a state carried in from before."""
     worlds, steps = 6, 40
-    actor = gru_actor(*specs())
+    actor = gru_actor(*specs(), residual=residual)
     normalizer_of(actor).update(torch.randn(100, 50))
     observation = torch.randn(worlds, steps, 50)
     is_init = torch.rand(worlds, steps, 1) < 0.1

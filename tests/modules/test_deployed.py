@@ -26,6 +26,7 @@ KINDS = {
     "mixture_mean": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, statistic="mean"),
     "shared_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, shared_components=True, statistic="mode"),
     "gru_mode": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mode"),
+    "gru_residual": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, residual=True),
 }  # fmt: skip
 
 

@@ -124,7 +124,7 @@ class Simulation:
             self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
         else:
             self._roll_some(self._stepped)
-        # Small arrays, of which NumPy takes a third of torch's time.
+        # Small arrays, for which NumPy takes about half of torch's time.
         begin, end = self._state.numpy(), self._states[:, -1].numpy()
         rows = slice(None) if self._stepped is None else self._stepped.numpy()
         passed = end[:, 0] - begin[:, 0]  # a world that MuJoCo gave up on lags behind

@@ -153,7 +153,7 @@ class MirroredMemory(TensorDictModuleBase):
         super().__init__()
         (self.hidden,) = recurrent_keys(network)
         self.key = f"{self.hidden}_mirrored"
-        # The parts in front of the head, held in a tuple: parameters of the network alone.
+        # Encoder and GRU, held in a tuple: parameters of the network alone.
         parts = network[0] if isinstance(network, ProbabilisticActor) else network
         self._parts = (parts[0], parts[1])
         self.observation = parts[0].in_keys[0]

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite
@@ -164,6 +165,7 @@ def gru_actor(
     num_layers: int = 3,
     components: int = 3,
     initialization: str = "default",
+    residual: bool = False,
     normalize: bool = True,
     statistic: str = "mean",
     **head: Any,
@@ -180,6 +182,9 @@ def gru_actor(
         num_layers: number of GRU layers.
         components: Gaussians per joint; 0 for a plain Gaussian.
         initialization: of these layers, see ``gru_trunk``.
+        residual: whether what the GRU layers read is added to what the last of them gives, so that
+            they learn a correction of it (He et al., "Deep residual learning for image
+            recognition", CVPR 2016).
         normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         head: as of ``mlp_actor``.
@@ -189,18 +194,21 @@ def gru_actor(
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(hidden_size, joints, components=components, **head)
-    module = TensorDictSequential(
-        *gru_trunk(
-            size,
-            hidden_size,
-            num_layers,
-            normalize,
-            initialization,
-            role="actor",
-            in_key="observation",
-        ),
-        TensorDictModule(out, in_keys=["features_actor"], out_keys=list(out.keys)),
+    encoder, gru = gru_trunk(
+        size,
+        hidden_size,
+        num_layers,
+        normalize,
+        initialization,
+        role="actor",
+        in_key="observation",
     )
+    modules = [encoder, gru]
+    if residual:
+        added = [gru.out_keys[0], gru.in_keys[0]]
+        modules.append(TensorDictModule(torch.add, in_keys=added, out_keys=added[:1]))
+    modules.append(TensorDictModule(out, in_keys=gru.out_keys[:1], out_keys=list(out.keys)))
+    module = TensorDictSequential(*modules)
     return _actor(module, out, statistic)
 
 

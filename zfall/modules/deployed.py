@@ -37,16 +37,18 @@ class DeployedGRU(nn.Module):
 
     def __init__(self, actor: Any):
         super().__init__()
-        encoder, memory, head = actor[0]
+        encoder, memory, *added, head = actor[0]
         self.encoder, self.head = encoder.module, head.module
-        self.gru = memory.gru
+        self.gru, self.residual = memory.gru, len(added) == 1
         self.statistic = _Statistic(actor)
 
     def forward(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """The action without exploration, and the next memory."""
         before = memory.transpose(0, 1).contiguous()
-        features, after = self.gru(self.encoder(observation)[:, None], before)
-        return self.statistic(self.head(features[:, 0])), after.transpose(0, 1)
+        embedding = self.encoder(observation)
+        features, after = self.gru(embedding[:, None], before)
+        features = features[:, 0] + embedding if self.residual else features[:, 0]
+        return self.statistic(self.head(features)), after.transpose(0, 1)
 
 
 class _Statistic(nn.Module):
