@@ -162,7 +162,12 @@ class Learner:
     def collect(self) -> TensorDictBase:
         """Runs the policy for ``rollout_steps``; returns the batch ``(N, T)``."""
         self.frames += self.frames_per_batch
-        return self.worlds.run(self._acting, self.cfg.rollout_steps, self._stored)
+        return self.worlds.run(self._act, self.cfg.rollout_steps, self._stored)
+
+    def _act(self, carrier: TensorDictBase) -> TensorDictBase:
+        # Of the carrier's dozens of keys TensorDict would copy and write back all.
+        acted = self._acting(carrier.select(*self._acting.in_keys))
+        return carrier.update(acted.select(*self._acting.out_keys))
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Some passes of PPO over the batch; returns the means of the last pass."""
@@ -226,9 +231,12 @@ class Learner:
         """What the losses beside PPO's see of a minibatch, and what PPO's knows of it already."""
         some = part[: max(1, round(self.cfg.auxiliary_share * len(part)))]  # the order is random
         distribution, self.loss.distribution = self.loss.distribution, None
+        memory, self.loss.memory = self.loss.memory, {}
         if self.auxiliary and getattr(distribution, "statistic", "mean") == "mean":
             # A mode is searched for: those who need it do so for their share alone.
             some["deterministic_action"] = distribution.deterministic_sample[: len(some)]
+            for key, value in memory.items():
+                some[key] = value[: len(some)]
         return some
 
     def _buffers(self) -> dict[str, torch.Tensor]:

@@ -98,6 +98,15 @@ def test_diverged_world_is_reported_and_leaves_the_others_alone(model):
     assert torch.equal(simulation.qpos[others], reference.qpos[others])
 
 
+def test_a_world_given_up_on_has_diverged_though_its_values_are_sound(model):
+    """MuJoCo takes a control that is not a number for zero, with a warning that ends the steps."""
+    simulation, control = make(model, 3)
+    control[1, 4, 0] = torch.nan
+    simulation.step(control)
+    assert (simulation.qvel.abs() < BOUND).all()
+    assert simulation.diverged.tolist() == [False, True, False]
+
+
 @pytest.mark.parametrize(("value", "good"), [
     (0.0, True), (0.99 * BOUND, True), (-0.99 * BOUND, True), (-1.01 * BOUND, False),
     (1e200, False), (np.inf, False), (-np.inf, False), (np.nan, False),

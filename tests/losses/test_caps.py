@@ -153,6 +153,39 @@ def test_both_of_a_spatial_pair_of_a_recurrent_policy_have_the_same_memory(recur
     assert_close(loss, torch.stack(moved).mean(), rtol=1e-4, atol=0)
 
 
+def test_the_gradient_of_a_recurrent_policy_goes_through_the_memory_of_all(recurrent, monkeypatch):
+    """Central differences of both terms in float64, along a random direction of all weights.
+
+    Beside a memory that was taken for a constant the gradient would be another one.
+    """
+    actor, batch = recurrent
+    actor.double()
+    batch = batch.exclude("mean").apply(lambda x: x.double() if x.is_floating_point() else x)
+    caps = CAPSLoss(actor, temporal_norm="squared_l2", temporal_coeff=1.0, spatial_coeff=1.0)
+    near = batch["observation"] + torch.randn_like(batch["observation"])
+    monkeypatch.setattr(caps, "_neighbour", lambda steps: near)
+    weights = list(actor.parameters())
+    way = [torch.randn_like(weight) for weight in weights]
+
+    def moved(step: float) -> dict[str, float]:
+        with torch.no_grad():
+            for weight, along in zip(weights, way, strict=True):
+                weight.add_(along, alpha=step)
+            values = {key: value.item() for key, value in caps(batch).items()}
+            for weight, along in zip(weights, way, strict=True):
+                weight.sub_(along, alpha=step)
+        return values
+
+    slopes = {}
+    for key, loss in caps(batch).items():
+        gradient = torch.autograd.grad(loss, weights, retain_graph=True, allow_unused=True)
+        pairs = zip(gradient, way, strict=True)
+        slopes[key] = sum((g * along).sum().item() for g, along in pairs if g is not None)
+    after, before = moved(1e-6), moved(-1e-6)
+    for key, slope in slopes.items():
+        assert slope == pytest.approx((after[key] - before[key]) / 2e-6, rel=1e-5)
+
+
 def test_a_smooth_policy_costs_nothing_and_has_a_finite_gradient():
     net, actor = linear_actor()
     nn.init.zeros_(net.weight)

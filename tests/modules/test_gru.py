@@ -90,3 +90,20 @@ def test_steps_follow_sequences(module, batch):
         memory = now["next", "memory"]
         assert_close(now["out"], expected["out"][:, step])
         assert_close(memory, expected["next", "memory"][:, step])
+
+
+@pytest.mark.parametrize("shape", [(), (ROWS,), (2, 3)])
+def test_one_step_is_that_of_torch(module, batch, shape):
+    """From the memory given, or from 0 where an episode begins; other keys are left alone."""
+    step = batch[:, 4].clone()
+    step["is_init"] = torch.arange(ROWS)[:, None] % 2 == 0
+    step["other"] = torch.arange(ROWS)
+    step = step[3] if shape == () else step.reshape(shape)
+    out = module(step.clone())
+    assert set(out.keys(True, True)) == {*step.keys(), "out", ("next", "memory")}
+    assert torch.equal(out["other"], step["other"])
+    for row, given in zip(out.reshape(-1), step.reshape(-1), strict=True):
+        memory = torch.zeros_like(given["memory"]) if given["is_init"] else given["memory"]
+        expected, after = module.gru(given["features"][None], memory)
+        assert_close(row["out"], expected[0])
+        assert_close(row["next", "memory"], after)

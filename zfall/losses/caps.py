@@ -33,12 +33,12 @@ class CAPSLoss(LossModule):
     Of a policy without memory the pairs are an observation and its successor, which at an
     episode's end is the last one of that episode. Of a recurrent one a batch holds sequences:
     the temporal pair follows them with the memory that they build up, and pairs across an
-    episode's end are left out; both of the spatial pair start from the memory stored with the
-    step.
+    episode's end are left out; both of the spatial pair have that memory.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)``, and ``("next", "observation")`` of a policy
     without memory; ``(N, T, ...)`` of a recurrent one. mu is taken from ``deterministic_action``,
-    if the batch has it. Writes ``loss_temporal`` and ``loss_spatial`` ``()``.
+    if the batch has it, and with it the memory after each step from under ``"next"``. Writes
+    ``loss_temporal`` and ``loss_spatial`` ``()``.
 
     Args:
         actor_network: the policy.
@@ -128,17 +128,21 @@ class CAPSLoss(LossModule):
         return temporal, self.spatial_norm(here - mu[1]).mean()
 
     def _recurrent(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        mu = self._known(batch)
-        if mu is None:
+        (hidden,) = recurrent_keys(self.actor_network)
+        seen = batch.select(*self.actor_network.in_keys)
+        mu, after = self._known(batch), batch.get(("next", hidden), None)
+        if mu is None or after is None:
             with set_recurrent_mode(True):
-                mu = self._act(batch.select(*self.actor_network.in_keys))
+                mu = self._act(seen)
+            after = seen["next", hidden]
         follows = ~batch["is_init"][:, 1:, 0]
         change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
-        here = batch.select(*self.actor_network.in_keys).reshape(-1)
-        near = here.copy().set("observation", self._neighbour(batch).flatten(0, 1))
+        near = seen.select(*self.actor_network.in_keys)
+        near["observation"] = self._neighbour(batch)
+        near[hidden] = torch.cat([seen[hidden][:, :1], after[:, :-1]], 1)  # before each step
         with set_recurrent_mode(False):
-            mu_here, mu_near = self._act(torch.cat([here, near])).chunk(2)
-        spatial = self.spatial_norm(mu_here - mu_near).mean()
+            mu_near = self._act(near.reshape(-1))
+        spatial = self.spatial_norm(mu.flatten(0, 1) - mu_near).mean()
         return change.sum() / follows.sum().clamp_min(1), spatial
 
     def _known(self, batch: TensorDictBase) -> Tensor | None:
@@ -146,6 +150,7 @@ class CAPSLoss(LossModule):
         return None if self.on_actions else batch.get("deterministic_action", None)
 
     def _act(self, batch: TensorDictBase) -> Tensor:
+        """mu; the batch then holds all that the policy wrote."""
         distribution = self.actor_network.get_dist(batch)
         if self.on_actions:
             return distribution.rsample()

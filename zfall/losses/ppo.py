@@ -3,9 +3,11 @@
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
+
+from zfall.modules.actors import recurrent_keys
 
 
 class PenalizedPPOLoss(ClipPPOLoss):
@@ -30,7 +32,8 @@ class PenalizedPPOLoss(ClipPPOLoss):
     buffer, the only state beside the networks.
 
     Without the three it is ``ClipPPOLoss``. ``distribution`` is that of the actions in the last
-    batch, with its graph, so that losses beside this one need not run the actor again.
+    batch, and ``memory`` ``(N, T, layers, H)`` that of a recurrent actor after each step, by its
+    key, both with their graph, so that losses beside this one need not run the actor again.
 
     Keys: as ``ClipPPOLoss``; also writes ``kl`` ``()``, the mean of ``r - 1 - log r``, and with a
     penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says which samples are ``mirrored``
@@ -88,6 +91,7 @@ class PenalizedPPOLoss(ClipPPOLoss):
             self.out_keys += ["loss_kl", "kl_coeff"]
         self._log_ratio: Any = None
         self.distribution: Any = None
+        self.memory: dict[NestedKey, Tensor] = {}
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Losses and figures of a batch, each ``()``."""
@@ -125,8 +129,10 @@ class PenalizedPPOLoss(ClipPPOLoss):
             loss = loss.clamp(max=self.critic_coeff * self.value_error_clip)
         return loss, *figures
 
-    def _log_weight(self, *args: object, **kwargs: object) -> tuple:
+    def _log_weight(self, tensordict: TensorDictBase, *args: Any, **kwargs: Any) -> tuple:
         """What TorchRL computes anyway and does not give out: the actor need not run again."""
-        result = super()._log_weight(*args, **kwargs)
+        result = super()._log_weight(tensordict, *args, **kwargs)
         self._log_ratio, self.distribution = result[:2]
+        after: list[NestedKey] = [("next", key) for key in recurrent_keys(self.actor_network)]
+        self.memory = {key: tensordict[key] for key in after}
         return result
