@@ -119,8 +119,9 @@ def _copy_rows(
 
     What ``merged`` holds of an entry, see ``HumanoidEnv.merged``, takes its place.
     """
-    for key in (source.keys() | into.keys()) - {"_reset"}:
-        value, there = source.get(key, None), into.get(key, None)
+    values, entries = dict(source.items()), dict(into.items())
+    for key in (values.keys() | entries.keys()) - {"_reset"}:
+        value, there = values.get(key), entries.get(key)
         if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
             there = value.empty() if there is None else there
             _copy_rows(there.empty() if value is None else value, there, rows, merged)

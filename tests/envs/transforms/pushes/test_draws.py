@@ -1,10 +1,14 @@
 """Headings and times against the distributions they should have."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
-from scipy.stats import expon, kstest, uniform
+from scipy.stats import expon, kstest
+from scipy.stats import uniform as uniform_law
 
-from zfall.envs.transforms.pushes.draws import Timing, between, heading
+from zfall.envs.transforms.pushes.draws import Timing, between, heading, of_worlds, uniform
 
 
 def test_spherical_headings_are_uniform_in_every_coordinate():
@@ -12,14 +16,14 @@ def test_spherical_headings_are_uniform_in_every_coordinate():
     vectors = heading("spherical", torch.rand(2, 4000))
     assert torch.allclose(vectors.norm(dim=-1), torch.ones(4000), atol=1e-6)
     for axis in range(3):
-        assert kstest(vectors[:, axis].numpy(), uniform(-1, 2).cdf).pvalue > 1e-3
+        assert kstest(vectors[:, axis].numpy(), uniform_law(-1, 2).cdf).pvalue > 1e-3
 
 
 def test_planar_headings_are_level_and_cover_the_circle():
     vectors = heading("planar", torch.rand(2, 4000))
     assert vectors[:, 2].abs().max() == 0
     angle = torch.atan2(vectors[:, 1], vectors[:, 0]).numpy()
-    assert kstest(angle, uniform(-torch.pi, 2 * torch.pi).cdf).pvalue > 1e-3
+    assert kstest(angle, uniform_law(-torch.pi, 2 * torch.pi).cdf).pvalue > 1e-3
 
 
 def test_a_fixed_heading_is_a_unit_vector():
@@ -32,13 +36,41 @@ def test_a_fixed_heading_is_a_unit_vector():
 def test_exponential_rests_make_the_mean_time_from_push_to_push():
     timing = Timing(None, 3.0, None, longest=0.9, mean=0.5, control_dt=0.04)
     zero = torch.zeros(4000, dtype=torch.float64)
-    rests = timing.next(torch.rand(4000), zero, zero, zero.long())
-    assert kstest(rests.numpy(), expon(scale=2.5).cdf).pvalue > 1e-3  # 3 s less the push itself
+    rests = timing.next(np.arange(4000), torch.rand(4000).numpy(), zero, zero, zero.long())
+    assert kstest(rests, expon(scale=2.5).cdf).pvalue > 1e-3  # 3 s less the push itself
 
 
 def test_bounds_may_differ_from_world_to_world():
     bounds = torch.tensor([[0.0, 1.0], [2.0, 1.5]])
     assert between(bounds, torch.tensor([0.5, 0.5])).tolist() == [1.0, 1.25]
+    assert of_worlds(bounds, np.array([1])).tolist() == [[1.0], [1.5]]
+    assert of_worlds([3.0, 4.0], np.array([1])) == [3.0, 4.0]
+
+
+def test_times_are_those_of_the_worlds_that_need_one():
+    """Third and first of three worlds, the rests of all of which a curriculum has moved."""
+    index, u = np.array([2, 0]), np.array([0.5, 0.25], dtype=np.float32)
+    rest_from = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    last, count = rest_from - 0.5, torch.tensor([1, 2, 3])
+    timing = Timing([1.0, 2.0], None, None, longest=0.2, mean=0.1, control_dt=0.04)
+    timing.interval = torch.tensor([[1.0, 9.0, 2.0], [2.0, 9.0, 4.0]])
+    assert timing.next(index, u, rest_from, last, count).tolist() == [6.0, 2.25]
+    timing = Timing(None, 3.0, None, longest=0.2, mean=0.1, control_dt=0.04)
+    timing.mean_interval = torch.tensor([1.1, 9.0, 2.1])
+    rests = timing.next(index, u, rest_from, last, count)
+    assert rests == pytest.approx([3.0 + 2.0 * math.log(2.0), 1.0 - math.log(0.75)])
+    timing = Timing(None, None, [0.5, 1.0, 2.0], longest=0.2, mean=0.1, control_dt=0.04)
+    assert timing.next(index, u, rest_from, last, count).tolist() == [math.inf, 1.0]
+
+
+def test_numbers_of_a_world_do_not_depend_on_which_others_need_some():
+    rows = torch.tensor([False, True, True, False, True])
+    index, u = uniform(3, rows, torch.Generator().manual_seed(4))
+    assert index.tolist() == [1, 2, 4]
+    everyone = uniform(3, torch.ones(5, dtype=torch.bool), torch.Generator().manual_seed(4))[1]
+    assert (u == everyone[:, index]).all()
+    assert ((u >= 0) & (u < 1)).all()
+    assert len(set(everyone.flatten().tolist())) == 15
 
 
 @pytest.mark.parametrize(("values", "message"), [

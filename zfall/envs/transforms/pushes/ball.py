@@ -9,7 +9,14 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.robots import GRAVITY
-from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
+from zfall.envs.transforms.pushes.draws import (
+    Timing,
+    between,
+    check_range,
+    heading,
+    of_worlds,
+    uniform,
+)
 from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, per_world, reset_rows
 
 
@@ -85,25 +92,25 @@ class ThrownBall(Transform):
             start = torch.where(due[:, None], start, tensordict["ball", "start"])
         tensordict["ball", "launch"] = due[:, None] if there is None else there | due[:, None]
         tensordict["ball", "start"] = start
-        begun = self.start - self.control_dt
-        self.start, self.count = begun, self.count + due
-        self._draw(due, begun)
+        self.start.sub_(self.control_dt)
+        self.count.add_(due)
+        self._draw(due, self.start)
         return tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.count = torch.where(rows, 0, self.count)
+        self.count.masked_fill_(rows, 0)
         self._draw(rows, torch.zeros_like(self.start))
         return tensordict_reset
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
         """Plans the next throw of the worlds in ``rows``, whose last one began at ``last``."""
-        u = torch.rand(4, len(rows), generator=self.rng)
-        start = self.timing.next(u[0], last, last, self.count).clamp_min(0.0)
-        speed, aim = between(self.speed, u[1]), between(self.aim, u[2])
-        side = heading("planar", u[3:].expand(2, -1))
-        plan = torch.cat([side, speed[:, None], aim[:, None]], -1)
-        self.start = torch.where(rows, start, self.start)
-        self.plan = torch.where(rows[:, None], plan, self.plan)
+        index, u = uniform(4, rows, self.rng)
+        start = self.timing.next(index, u[0], last, last, self.count)
+        self.start.numpy()[index] = start.clip(0.0)
+        plan = self.plan.numpy()
+        plan[index, :3] = heading("planar", torch.from_numpy(u[3:]).expand(2, -1))
+        plan[index, 3] = between(of_worlds(self.speed, index), u[1])
+        plan[index, 4] = between(of_worlds(self.aim, index), u[2])

@@ -9,7 +9,14 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
+from zfall.envs.transforms.pushes.draws import (
+    Timing,
+    between,
+    check_range,
+    heading,
+    of_worlds,
+    uniform,
+)
 from zfall.envs.transforms.values import NOT_NEGATIVE, reset_rows
 
 
@@ -67,9 +74,9 @@ class VelocityKick(Transform):
         kick = torch.where(due[:, None], self.kick, 0.0)
         there = tensordict.get(("push", "kick"), None)
         tensordict["push", "kick"] = kick if there is None else there + kick
-        begun = self.start - self.control_dt
-        self.start, self.count = begun, self.count + due
-        self._draw(due, begun)
+        self.start.sub_(self.control_dt)
+        self.count.add_(due)
+        self._draw(due, self.start)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -79,17 +86,18 @@ class VelocityKick(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.count = torch.where(rows, 0, self.count)
+        self.count.masked_fill_(rows, 0)
         self._draw(rows, torch.zeros_like(self.start))
         return tensordict_reset.set(("push", "velocity_kick"), torch.zeros_like(self.kick))
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
         """Plans the next kick of the worlds in ``rows``, whose last one began at ``last``."""
-        u = torch.rand(4, len(rows), generator=self.rng)
-        start = self.timing.next(u[0], last, last, self.count).clamp_min(0.0)
-        kick = between(self.velocity, u[1])[:, None] * heading(self.direction, u[2:])
-        self.start = torch.where(rows, start, self.start)
-        self.kick = torch.where(rows[:, None], kick, self.kick)
+        index, u = uniform(4, rows, self.rng)
+        start = self.timing.next(index, u[0], last, last, self.count)
+        speed = between(of_worlds(self.velocity, index), u[1])
+        self.start.numpy()[index] = start.clip(0.0)
+        along = heading(self.direction, torch.from_numpy(u[2:])).numpy()
+        self.kick.numpy()[index] = speed[:, None] * along
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["push", "velocity_kick"] = Unbounded(self.kick.shape)

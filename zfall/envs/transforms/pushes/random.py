@@ -3,14 +3,23 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.pushes.draws import Timing, between, check_range, heading
+from zfall.envs.transforms.pushes.draws import (
+    Timing,
+    between,
+    check_range,
+    heading,
+    of_worlds,
+    uniform,
+)
 from zfall.envs.transforms.pushes.force import PushForces
 from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, reset_rows
 
@@ -123,10 +132,10 @@ class RandomPush(Transform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         plan = (self.start, self.duration_now, self.force_now, self.point_now)
         self.forces.apply(tensordict, *(value[:, None] for value in plan))
-        self.start = self.start - self.control_dt
+        self.start.sub_(self.control_dt)
         end = self.start + self.duration_now
         over = end <= 0
-        self.count = self.count + over
+        self.count.add_(over)
         self._draw(over, end, self.start)
         return tensordict
 
@@ -138,7 +147,7 @@ class RandomPush(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.count = torch.where(rows, 0, self.count)
+        self.count.masked_fill_(rows, 0)
         zero = torch.zeros_like(self.start)
         self._draw(rows, zero, zero)
         self.forces.clear(tensordict_reset)
@@ -152,28 +161,27 @@ class RandomPush(Transform):
             rest_from: since when they rest ``(N,)`` [s from now].
             last: when the push before began ``(N,)``, or the episode [s from now].
         """
-        u = torch.rand(7, len(rows), generator=self.rng)  # all rows: the stream is the same
-        start = self.timing.next(u[0], rest_from, last, self.count)
-        duration = between(self.duration, u[1])
-        point = (u[2] * len(self.forces.bodies)).long()
-        force = self._force(u[3:], duration)
-        self.start = torch.where(rows, start.clamp_min(0.0), self.start)
-        self.duration_now = torch.where(rows, duration, self.duration_now)
-        self.point_now = torch.where(rows, point, self.point_now)
-        self.force_now = torch.where(rows[:, None], force, self.force_now)
+        index, u = uniform(7, rows, self.rng)
+        start = self.timing.next(index, u[0], rest_from, last, self.count)
+        duration = between(of_worlds(self.duration, index), u[1])
+        self.start.numpy()[index] = start.clip(0.0)
+        self.duration_now.numpy()[index] = duration
+        self.point_now.numpy()[index] = u[2] * len(self.forces.bodies)  # the whole part of it
+        self.force_now.numpy()[index] = self._force(u[3:], duration, index)
 
-    def _force(self, u: Tensor, duration: Tensor) -> Tensor:
-        """Peak forces ``(N, 3)`` [N; world] from uniform numbers ``(4, N)``."""
+    def _force(
+        self, u: NDArray[np.float32], duration: NDArray[np.float32], index: NDArray[np.int64]
+    ) -> NDArray[np.float32]:
+        """Peak forces ``(K, 3)`` [N; world] of the worlds in ``index``, from ``(4, K)``."""
         if self.axes is not None:
-            return torch.stack(
-                [between(self.axes[a], x) for a, x in zip("xyz", u, strict=False)], -1
-            )
-        strength = between(getattr(self, self.measure), u[0])
+            axes = [of_worlds(self.axes[axis], index) for axis in "xyz"]
+            return np.stack([between(*pair) for pair in zip(axes, u[:3], strict=True)], -1)
+        strength = between(of_worlds(getattr(self, self.measure), index), u[0])
         if self.measure != "force":
             strength = strength / (self.forces.profile.mean * duration)
         if self.measure == "size":
             strength = strength * self.impulse_unit
-        return strength[:, None] * heading(self.direction, u[1:3])
+        return strength[:, None] * heading(self.direction, torch.from_numpy(u[1:3])).numpy()
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         self.forces.specify(observation_spec)
