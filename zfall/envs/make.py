@@ -120,6 +120,8 @@ def _copy_rows(
     What ``merged`` holds of an entry, see ``HumanoidEnv.merged``, takes its place.
     """
     values, entries = dict(source.items()), dict(into.items())
+    value: Any
+    there: Any
     for key in (values.keys() | entries.keys()) - {"_reset"}:
         value, there = values.get(key), entries.get(key)
         if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
