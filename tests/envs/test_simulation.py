@@ -113,9 +113,9 @@ def test_a_world_given_up_on_has_diverged_though_its_values_are_sound(model):
 ])  # fmt: skip
 def test_a_world_is_sound_if_no_value_is_beyond_the_bound(value, good):
     """Several just below it are sound, although the root of their squares is not."""
-    states, values = np.full((3, 4), 0.9 * BOUND), np.zeros((3, 5))
-    states[0], values[1, 2] = 1.0, value
-    assert sound(states, values).tolist() == [True, good, True]
+    values = np.full((3, 5), 0.9 * BOUND)
+    values[0], values[1, 2] = 1.0, value
+    assert sound(values).tolist() == [True, good, True]
 
 
 def test_worlds_that_do_not_step_stay_and_change_no_other(model):

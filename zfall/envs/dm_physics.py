@@ -164,7 +164,7 @@ class PhysicsSimulation:
             self._keep_substate(done)
             done += 1
         data.xfrc_applied[:] = by_hand
-        good = sound(sensors[-1:], data.qpos[None], data.qvel[None])
+        good = sound(np.concatenate([sensors[-1], data.qpos, data.qvel])[None])
         self.diverged = torch.from_numpy(~good) | (done < self.substeps)
         mujoco.mj_step1(model, data)  # what depends on position and velocity, up to date
         return self._sensors

@@ -22,7 +22,7 @@ from zfall.envs.model import (
 from zfall.envs.parameters import PhysicsParameters
 from zfall.envs.quantities import PEAK_KEYS, SUBSTEP_KEYS, Quantities
 from zfall.envs.robots import ZEROTH01, PushPoint, Robot
-from zfall.envs.simulation import BOUND, Simulation
+from zfall.envs.simulation import Simulation, sound
 from zfall.envs.specs import action_spec, done_spec, observation_spec
 
 STATE_KEYS = (  # what a state of the robot is made of
@@ -166,8 +166,10 @@ class HumanoidEnv(EnvBase):
         # Joints in the order of the model's actuators, if that is another one.
         order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
         self._to_actuators = slice(None) if order == sorted(order) else torch.tensor(order)
+        self._stand_control = self.stand_position.double()[self._to_actuators]
         self._worlds = torch.arange(num_envs)
-        self._pushed: set[int] = set()  # bodies whose wrench may not be 0
+        # Worlds and their bodies whose wrench may not be 0.
+        self._pushed: list[tuple[Tensor, int | Tensor | slice]] = []
         places = (0, 0)  # where the ball's state begins in positions and velocities
         if ball:
             joint = model.joint("ball")
@@ -193,37 +195,40 @@ class HumanoidEnv(EnvBase):
         return self.push_targets[point]
 
     def add_force(
-        self, tensordict: TensorDictBase, target: int | Tensor, force: Tensor
+        self,
+        tensordict: TensorDictBase,
+        target: int | Tensor,
+        force: Tensor,
+        rows: Tensor | None = None,
     ) -> TensorDictBase:
         """Lets a force act in the coming step, besides what ``("push", "wrench")`` holds already.
 
         Args:
             tensordict: of the step. It then holds the sum, in a buffer lent for this step.
-            target: what it acts on, as from ``push_target``; of each world ``(N,)`` or of all.
-            force: in each physics step ``(N, S, 3)`` [N; world].
+            target: what it acts on, as from ``push_target``; of each world ``(K,)`` or of all.
+            force: in each physics step ``(K, S, 3)`` [N; world].
+            rows: the worlds that it acts in ``(K,)``, each once; all N if ``None``.
         """
         wrench = self.simulation.wrench
         there = tensordict.get(("push", "wrench"), None)
         if there is not wrench:
             self._set_wrench(there)
             tensordict["push", "wrench"] = wrench
-        if isinstance(target, int):
-            wrench[:, :, target, :3] += force
-            self._pushed.add(target)
-        else:
-            wrench[self._worlds, :, target, :3] += force
-            self._pushed.update(target.unique().tolist())
+        index = self._worlds if rows is None else rows
+        wrench[index, :, target, :3] += force
+        self._pushed.append((index, target))
         return tensordict
 
     def _set_wrench(self, value: Tensor | None) -> None:
         """Writes what acts in the coming step ``(N, S, bodies, 6)``, nothing if ``None``."""
+        wrench = self.simulation.wrench
         if value is not None:
-            self.simulation.wrench.copy_(value)
-            self._pushed = set(range(self.num_bodies))
+            wrench.copy_(value)
+            self._pushed = [(self._worlds, slice(None))]
             return
-        for body in self._pushed:  # all of them would take seven times as long
-            self.simulation.wrench[:, :, body] = 0.0
-        self._pushed = set()
+        for index, target in self._pushed:  # all of it would take many times as long
+            wrench[index, :, target] = 0.0
+        self._pushed = []
 
     def record_substeps(self, keys: Iterable[str]) -> None:
         """Makes the env also write what ``keys`` are after each of the S physics steps.
@@ -261,8 +266,9 @@ class HumanoidEnv(EnvBase):
         self._disturb(tensordict)
         sensors = self.simulation.step(control[..., self._to_actuators])
         observed = self._observe(sensors)
-        peaks = torch.cat([observed[key] for key in PEAK_KEYS], 1)  # of what is in between
-        diverged = self.simulation.diverged | ~(peaks < BOUND).all(1)
+        diverged = self.simulation.diverged
+        for key in PEAK_KEYS:  # of what is in between
+            diverged = diverged | torch.from_numpy(~sound(observed[key].numpy()))
         if diverged.any():  # such a world ends here, in a state the learner can read
             observed = self._observe(self._place(diverged, {}))
         return self._mark(observed, diverged[:, None])
@@ -293,8 +299,7 @@ class HumanoidEnv(EnvBase):
             observed = self._observe(sensors)
         else:  # a few new rows among what the others had
             index = rows.nonzero()[:, 0]
-            new = self._observe(sensors, index)
-            observed = {key: old.index_copy(0, index, new[key]) for key, old in before.items()}
+            observed = self._observe(sensors, index, before)
             if not torch.is_inference_mode_enabled():  # there tensors have no version
                 pairs = zip(before.values(), observed.values(), strict=True)
                 self._merged = [(old, now, now._version) for old, now in pairs]
@@ -309,20 +314,29 @@ class HumanoidEnv(EnvBase):
         """
         return {id(old): now for old, now, version in self._merged if now._version == version}
 
-    def _observe(self, sensors: Tensor, index: Tensor | None = None) -> dict[NestedKey, Tensor]:
-        """All quantities, of all worlds or of those in ``index`` ``(K,)``."""
+    def _observe(
+        self,
+        sensors: Tensor,
+        index: Tensor | None = None,
+        before: dict[NestedKey, Tensor] | None = None,
+    ) -> dict[NestedKey, Tensor]:
+        """All quantities; of the worlds that are not in ``index`` ``(K,)`` as they were before."""
         simulation, parameters = self.simulation, self.parameters
-        arrays = (simulation.qpos, simulation.qvel, sensors, parameters.gravity, parameters.mass)
-        out = self._quantities(*_rows_of(arrays, index))
-        for key, value in self._substeps(sensors, index).items():
-            out["substeps", key] = value
+        states = (simulation.qpos, simulation.qvel)
+        out = self._quantities(
+            *states, sensors, parameters.gravity, parameters.mass, index=index, before=before
+        )
+        new: dict[NestedKey, Tensor] = {
+            ("substeps", key): value for key, value in self._substeps(sensors, index).items()
+        }
         if self.ball:
-            states = _rows_of(arrays[:2], index)
-            for key, state, columns in zip(
-                ("position", "velocity"), states, self._ball, strict=True
+            for name, state, columns in zip(
+                ("position", "velocity"), _rows_of(states, index), self._ball, strict=True
             ):
-                out["ball", key] = state[:, columns].float()
-        return out
+                new["ball", name] = state[:, columns].float()
+        if index is not None and before is not None:
+            new = {key: before[key].index_copy(0, index, value) for key, value in new.items()}
+        return out | new
 
     def _mark(self, observed: dict[NestedKey, Tensor], diverged: Tensor) -> TensorDictBase:
         """Keeps what was observed and adds the flags: only failed physics ends an episode."""
@@ -330,7 +344,8 @@ class HumanoidEnv(EnvBase):
         flags = {key: diverged.clone() for key in ("diverged", "terminated", "done")}
         flags["truncated"] = torch.zeros_like(diverged)
         flat = {key: value for key, value in observed.items() if isinstance(key, str)}
-        out = TensorDict(flat | flags, batch_size=self.batch_size)
+        # Without the checks of each value, whose shapes are known: they take longer than the rest.
+        out = TensorDict._new_unsafe(flat | flags, batch_size=self.batch_size)
         for key, value in observed.items():
             if key not in flat:
                 out[key] = value
@@ -359,7 +374,7 @@ class HumanoidEnv(EnvBase):
         for key in start.keys() & places.keys():
             state, columns = places[key]
             state[:, columns] = start[key][rows].double()
-        control = self.stand_position.double()[self._to_actuators].repeat(count, 1)
+        control = self._stand_control.expand(count, -1)
         floor = torch.full((count,), bool(start))  # rows that are put on it
         if "base_position" in start:
             floor = qpos[:, 0].isnan()
@@ -374,9 +389,9 @@ class HumanoidEnv(EnvBase):
     def _clearance(self, qpos: Tensor) -> Tensor:
         """Height of the lowest corner of the soles above the floor ``(K,)`` [m]."""
         position, rotation = self.simulation.site_poses(qpos, self._soles)
-        slope = rotation[..., 2, :2].abs()
-        drop = (slope * slope.new_tensor(self.robot.sole_half_size)).sum(-1)
-        return (position[..., 2] - drop).amin(-1)
+        # How far each corner is below its sole's center: few numbers, for which NumPy is faster.
+        drop = np.abs(rotation.numpy()[..., 2, :2]) @ np.array(self.robot.sole_half_size)
+        return torch.from_numpy((position.numpy()[..., 2] - drop).min(-1))
 
     @property
     def physics_param_spec(self) -> Composite:

@@ -134,7 +134,8 @@ def _copy_rows(
         else:
             there = torch.zeros_like(value) if there is None else there
             there = there.index_copy(0, rows, value.index_select(0, rows))
-        into.set(key, there)
+        # What ``set`` would check first holds for what came from the env.
+        into._set_str(key, there, validated=True, inplace=False, non_blocking=False)
 
 
 class _DropSubsteps(Transform):

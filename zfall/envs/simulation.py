@@ -11,6 +11,7 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zfall.envs.compiled import compiled
 from zfall.envs.threads import others_turn
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -24,14 +25,33 @@ CHUNKS = 32  # of worlds, for each thread: the last one at work keeps the others
 BOUND = 1e6
 
 
-def sound(*values: NDArray[np.float64]) -> NDArray[np.bool_]:
+@compiled
+def sound(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Worlds ``(N,)`` all of whose values ``(N, V)`` are finite and within ``BOUND``."""
-    # A sum of squares is one pass, and no value is larger than its root: most worlds need no more.
-    with np.errstate(over="ignore", invalid="ignore"):
-        good = sum(np.vecdot(array, array) for array in values) < BOUND**2
-    for row in (~good).nonzero()[0]:
-        good[row] = all((np.abs(array[row]) < BOUND).all() for array in values)
+    good = np.ones(len(values), np.bool_)
+    for i in range(len(values)):
+        for value in values[i]:
+            good[i] &= abs(value) < BOUND
     return good
+
+
+@compiled
+def _take_over(
+    state: NDArray[np.float64],
+    states: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    passed: float,
+) -> NDArray[np.bool_]:
+    """Copies the last of ``states`` ``(N, S, size)`` of some worlds into ``state`` ``(N, size)``.
+
+    Returns:
+        Worlds ``(N,)`` of these whose time went on by less than ``passed``: MuJoCo gave up on them.
+    """
+    late = np.zeros(len(state), np.bool_)
+    for i in rows:
+        late[i] = abs(states[i, -1, 0] - state[i, 0] - passed) > 1e-9
+        state[i] = states[i, -1]
+    return late
 
 
 def site_poses(
@@ -84,6 +104,7 @@ class Simulation:
         self.threads = threads or len(os.sched_getaffinity(0))
         self._pool = rollout.Rollout(nthread=self.threads)
         self._data = [mujoco.MjData(model) for _ in range(self.threads)]
+        self._rows = np.arange(num_worlds)
         self._stepped: Tensor | None = None  # numbers of the worlds that step; None: all
         size = mujoco.mj_stateSize(model, _STATE)
         inputs = model.nu + 6 * model.nbody
@@ -124,15 +145,11 @@ class Simulation:
             self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
         else:
             self._roll_some(self._stepped)
-        # Small arrays, for which NumPy takes about half of torch's time.
-        begin, end = self._state.numpy(), self._states[:, -1].numpy()
-        rows = slice(None) if self._stepped is None else self._stepped.numpy()
-        passed = end[:, 0] - begin[:, 0]  # a world that MuJoCo gave up on lags behind
-        late = np.abs(passed - self.substeps * self.model.opt.timestep) > 1e-9
-        diverged = ~sound(end, self._sensors[:, -1].numpy())
-        diverged[rows] |= late[rows]
-        self.diverged = torch.from_numpy(diverged)
-        begin[rows] = end[rows]
+        rows = self._rows if self._stepped is None else self._stepped.numpy()
+        state, passed = self._state.numpy(), self.substeps * self.model.opt.timestep
+        late = _take_over(state, self._states.numpy(), rows, passed)
+        good = sound(state) & sound(self._sensors[:, -1].numpy())
+        self.diverged = torch.from_numpy(late | ~good)
         return self._sensors
 
     def step_only(self, rows: Tensor | None) -> None:

@@ -63,7 +63,7 @@ class Lags:
         low, high = (per_world(bound, len(shape)) for bound in delay)
         seconds = low + (high - low) * torch.rand(shape, generator=self.rng)
         lag = torch.round(seconds / self.physics_dt).long()
-        least, most = float(seconds.amin()), float(seconds.amax())
+        least, most = (float(bound) for bound in seconds.aminmax())
         if least < 0 or most > self.max_delay + 1e-6:  # float32
             raise ValueError(
                 f"delay must stay within [0, max_delay], got [{least:g}, {most:g}] "

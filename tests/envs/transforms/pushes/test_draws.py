@@ -13,24 +13,22 @@ from zfall.envs.transforms.pushes.draws import Timing, between, heading, of_worl
 
 def test_spherical_headings_are_uniform_in_every_coordinate():
     """On a sphere each coordinate is uniform on [-1, 1] (Archimedes)."""
-    vectors = heading("spherical", torch.rand(2, 4000))
-    assert torch.allclose(vectors.norm(dim=-1), torch.ones(4000), atol=1e-6)
+    vectors = heading("spherical", np.random.default_rng(0).random((2, 4000)))
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6)
     for axis in range(3):
-        assert kstest(vectors[:, axis].numpy(), uniform_law(-1, 2).cdf).pvalue > 1e-3
+        assert kstest(vectors[:, axis], uniform_law(-1, 2).cdf).pvalue > 1e-3
 
 
 def test_planar_headings_are_level_and_cover_the_circle():
-    vectors = heading("planar", torch.rand(2, 4000))
-    assert vectors[:, 2].abs().max() == 0
-    angle = torch.atan2(vectors[:, 1], vectors[:, 0]).numpy()
-    assert kstest(angle, uniform_law(-torch.pi, 2 * torch.pi).cdf).pvalue > 1e-3
+    vectors = heading("planar", np.random.default_rng(0).random((2, 4000)))
+    assert np.abs(vectors[:, 2]).max() == 0
+    angle = np.arctan2(vectors[:, 1], vectors[:, 0])
+    assert kstest(angle, uniform_law(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
 
 
 def test_a_fixed_heading_is_a_unit_vector():
-    assert (
-        heading([0, 3, 4], torch.rand(2, 2)).tolist()
-        == [[0, 0.6000000238418579, 0.800000011920929]] * 2
-    )
+    vectors = heading([0, 3, 4], np.zeros((2, 2)))
+    np.testing.assert_allclose(vectors, [[0.0, 0.6, 0.8]] * 2, atol=1e-7)
 
 
 def test_exponential_rests_make_the_mean_time_from_push_to_push():
@@ -89,4 +87,4 @@ def test_bad_timings_are_refused(values, message):
 @pytest.mark.parametrize("direction", ["up", [0, 0, 0], [1, 0]])
 def test_bad_directions_are_refused(direction):
     with pytest.raises(ValueError, match="direction must be planar, spherical or a vector"):
-        heading(direction, torch.rand(2, 1))
+        heading(direction, np.zeros((2, 1)))

@@ -111,6 +111,6 @@ class ThrownBall(Transform):
         start = self.timing.next(index, u[0], last, last, self.count)
         self.start.numpy()[index] = start.clip(0.0)
         plan = self.plan.numpy()
-        plan[index, :3] = heading("planar", torch.from_numpy(u[3:]).expand(2, -1))
+        plan[index, :3] = heading("planar", u[3:])
         plan[index, 3] = between(of_worlds(self.speed, index), u[1])
         plan[index, 4] = between(of_worlds(self.aim, index), u[2])

@@ -72,30 +72,30 @@ def check_range(
         raise ValueError(f"{rule} of values that are not negative, got {[low, high]}.")
 
 
-def heading(direction: str | Sequence[float], u: Tensor) -> Tensor:
+def heading(direction: str | Sequence[float], u: NDArray[np.float32]) -> NDArray[np.float32]:
     """Unit vectors ``(N, 3)`` in world axes.
 
     Args:
         direction: ``planar``, ``spherical`` or a fixed vector.
-        u: uniform numbers ``(2, N)``.
+        u: uniform numbers ``(2, N)``; ``planar`` needs the first row alone.
 
     Raises:
         ValueError: on another direction.
     """
     if not isinstance(direction, str) and len(direction) == 3 and any(direction):
-        fixed = torch.tensor([float(value) for value in direction])
-        return (fixed / fixed.norm()).expand(u.shape[1], 3)
+        fixed = np.array(direction, np.float32)
+        return np.broadcast_to(fixed / np.linalg.norm(fixed), (u.shape[1], 3))
     if direction not in ("planar", "spherical"):
         raise ValueError(
             f"direction must be planar, spherical or a vector [x, y, z], got {direction!r}."
         )
     angle = 2 * math.pi * u[0]
-    cos, sin = angle.cos(), angle.sin()
+    cos, sin = np.cos(angle), np.sin(angle)
     if direction == "planar":
-        return torch.stack([cos, sin, torch.zeros_like(cos)], -1)
+        return np.stack([cos, sin, np.zeros_like(cos)], -1)
     z = 2.0 * u[1] - 1.0  # Archimedes: heights on a sphere are uniform
-    level = (1.0 - z.square()).sqrt()
-    return torch.stack([level * cos, level * sin, z], -1)
+    level = np.sqrt(1.0 - z * z)
+    return np.stack([level * cos, level * sin, z], -1)
 
 
 class Timing:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -59,7 +60,7 @@ class VelocityKick(Transform):
         key = ("push", "kick")
         super().__init__(in_keys_inv=[key], out_keys_inv=[key])
         check_range("velocity", velocity)
-        heading(direction, torch.zeros(2, 1))  # refuses a bad one
+        heading(direction, np.zeros((2, 1), np.float32))  # refuses a bad one
         self.timing = Timing(
             interval, mean_interval, times, longest=0.0, mean=0.0, control_dt=env.control_dt
         )
@@ -96,8 +97,7 @@ class VelocityKick(Transform):
         start = self.timing.next(index, u[0], last, last, self.count)
         speed = between(of_worlds(self.velocity, index), u[1])
         self.start.numpy()[index] = start.clip(0.0)
-        along = heading(self.direction, torch.from_numpy(u[2:])).numpy()
-        self.kick.numpy()[index] = speed[:, None] * along
+        self.kick.numpy()[index] = speed[:, None] * heading(self.direction, u[2:])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["push", "velocity_kick"] = Unbounded(self.kick.shape)

@@ -4,8 +4,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+Array = NDArray[np.floating]
 
 _WIDTH = 3.0  # a Gaussian push begins and ends three standard deviations from its peak
 _WITHIN = math.erf(_WIDTH / math.sqrt(2))
@@ -22,18 +25,18 @@ class Profile:
             duration``.
     """
 
-    given: Callable[[Tensor], Tensor]
+    given: Callable[[Array], Array]
     mean: float
 
 
 PROFILES = {
     "rectangular": Profile(lambda u: u, 1.0),
-    "half_sine": Profile(lambda u: 0.5 * (1.0 - torch.cos(math.pi * u)), 2.0 / math.pi),
+    "half_sine": Profile(lambda u: 0.5 * (1.0 - np.cos(math.pi * u)), 2.0 / math.pi),
     "gaussian": Profile(
-        lambda u: 0.5 + 0.5 * torch.erf(_WIDTH * (2.0 * u - 1.0) / math.sqrt(2)) / _WITHIN,
+        lambda u: 0.5 + 0.5 * erf(_WIDTH * (2.0 * u - 1.0) / math.sqrt(2)) / _WITHIN,
         _WITHIN * math.sqrt(2 * math.pi) / (2 * _WIDTH),
     ),
-    "ramp": Profile(lambda u: u.square(), 0.5),
+    "ramp": Profile(lambda u: u * u, 0.5),
 }
 """By name; ``half_sine`` and ``gaussian`` are bells, ``ramp`` grows to its peak and stops."""
 
@@ -50,12 +53,12 @@ def find_profile(name: str) -> Profile:
 
 
 def force_share(
-    begin: Tensor, physics_dt: float, start: Tensor, duration: Tensor | float, profile: Profile
-) -> Tensor:
+    begin: Array, physics_dt: float, start: Array, duration: Array | float, profile: Profile
+) -> Array:
     """Mean force over each physics step, as a share of the push's peak force.
 
     Args:
-        begin: begin of each physics step ``(S,)`` [s from now], float64 as ``start``.
+        begin: begin of each physics step ``(S,)`` [s from now].
         physics_dt: length of a physics step [s].
         start: begin of the pushes ``(*B,)`` [s from now].
         duration: their length ``(*B,)`` or one for all [s].
@@ -65,7 +68,7 @@ def force_share(
         ``(*B, S)`` in [0, 1]. Its sum times ``physics_dt`` is ``profile.mean x duration`` once
         the push is over, whatever the rates, so that the impulse is exact.
     """
-    length = torch.as_tensor(duration, dtype=start.dtype)[..., None]
-    edges = torch.cat([begin, begin[-1:] + physics_dt])
-    given = profile.given(((edges - start[..., None]) / length).clamp(0.0, 1.0))
-    return (given.diff(dim=-1) * (profile.mean * length / physics_dt)).float()
+    length = np.asarray(duration)[..., None]
+    edges = np.append(begin, begin[-1] + physics_dt)
+    given = profile.given(((edges - start[..., None]) / length).clip(0.0, 1.0))
+    return np.diff(given) * (profile.mean * length / physics_dt)

@@ -117,7 +117,7 @@ class RandomPush(Transform):
         else:
             values: Any = measures[self.measure]
             check_range(self.measure, values)
-            heading(direction, torch.zeros(2, 1))  # refuses a bad one
+            heading(direction, np.zeros((2, 1), np.float32))  # refuses a bad one
         # Kept as given, in its own unit, so that a curriculum can move it.
         self.force, self.impulse, self.size, self.axes = force, impulse, size, axes
         self.direction, self.rng = direction, env.rng
@@ -181,7 +181,7 @@ class RandomPush(Transform):
             strength = strength / (self.forces.profile.mean * duration)
         if self.measure == "size":
             strength = strength * self.impulse_unit
-        return strength[:, None] * heading(self.direction, torch.from_numpy(u[1:3])).numpy()
+        return strength[:, None] * heading(self.direction, u[1:3])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         self.forces.specify(observation_spec)
