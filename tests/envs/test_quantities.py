@@ -69,3 +69,20 @@ def test_a_foot_that_touches_without_force_has_no_center_of_pressure(read):
     pressed = [1.0, 0.0, 0.0, -16.0, 2.01, 0.98, 0.0]
     _, td = read({9: sole | {"feet_contact/left": pressed}})
     assert_close(td["feet_cop"], torch.tensor([[0.01, -0.02], [0.0, 0.0]]), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(("sensor", "key"), [
+    ("joint_torque/left_knee_pitch", "joint_torque_peak"),
+    ("base_acceleration", "base_acceleration_peak"),
+    ("contact_force_peak/torso/trunk", "contact_force_peak"),
+])  # fmt: skip
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+def test_peaks_hide_nothing_that_is_not_finite(read, sensor, key, value):
+    """No comparison holds for what is not a number; numbers follow it here, in later steps."""
+    size = 1 if sensor.startswith("joint") else 3
+    steps = {step: {sensor: [1.0] * size} for step in range(10)}
+    steps[4] = {sensor: [value] * size}
+    _, td = read(steps)
+    assert not td[key].isfinite().all()
+    others = {"joint_torque_peak", "base_acceleration_peak", "contact_force_peak"} - {key}
+    assert all(td[other].isfinite().all() for other in others)
