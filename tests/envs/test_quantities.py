@@ -86,3 +86,15 @@ def test_peaks_hide_nothing_that_is_not_finite(read, sensor, key, value):
     assert not td[key].isfinite().all()
     others = {"joint_torque_peak", "base_acceleration_peak", "contact_force_peak"} - {key}
     assert all(td[other].isfinite().all() for other in others)
+
+
+def test_gravity_is_that_of_each_world_seen_from_its_base(make_base):
+    """Turned to the left by a quarter, a base has its x axis along the world's y."""
+    env = make_base(num_envs=3)
+    qpos = env.simulation.qpos.clone()
+    qpos[:, 3:7] = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])
+    gravity = torch.tensor([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, -1.0, 0.0]])
+    values = torch.zeros(3, env.substeps, env.simulation.model.nsensordata, dtype=torch.float64)
+    read = env._quantities(qpos, env.simulation.qvel, values, gravity)
+    expected = torch.tensor([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8], [-1.0, 0.0, 0.0]])
+    assert_close(read["projected_gravity"], expected)
