@@ -1,10 +1,13 @@
 """Named quantities from made-up sensor values, by hand."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.testing import assert_close
 
 from zfall.envs.model import sensor_slices
+from zfall.envs.quantities import Quantities
 
 
 @pytest.fixture()
@@ -98,3 +101,35 @@ def test_gravity_is_that_of_each_world_seen_from_its_base(make_base):
     read = env._quantities(qpos, env.simulation.qvel, values, gravity)
     expected = torch.tensor([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8], [-1.0, 0.0, 0.0]])
     assert_close(read["projected_gravity"], expected)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "joint_torque/left_knee_pitch",
+        "feet_contact/left",
+        "com_velocity",
+        "contact_force_peak/torso/trunk",
+    ],
+)
+def test_a_sensor_of_another_size_is_refused(make_base, name):
+    """It would be read beyond its end, and be the next sensor's values."""
+    env = make_base(num_envs=1)
+    sensors = sensor_slices(env.simulation.model)
+    sensors[name] = slice(sensors[name].start, sensors[name].stop + 1)
+    index = torch.arange(len(env.robot.joints))
+    with pytest.raises(ValueError, match=f"sensor {name} must have . values, got"):
+        Quantities(env.robot, sensors, index, index, 1.0, 0.04)
+
+
+def test_a_sole_has_as_many_corners_as_its_robot_says(make_base):
+    env = make_base(num_envs=2)
+    robot = replace(env.robot, corners=env.robot.corners[:3])
+    sensors = sensor_slices(env.simulation.model)
+    index = torch.arange(len(robot.joints))
+    read = Quantities(robot, sensors, index, index, 1.0, 0.04)
+    values = torch.zeros(2, 10, env.simulation.model.nsensordata, dtype=torch.float64)
+    for corner, force in zip(robot.corners, (1.0, 2.0, 3.0), strict=True):
+        values[:, -1, sensors[f"feet_corner_force/right/{corner}"].start + 2] = -force
+    forces = read(env.simulation.qpos, env.simulation.qvel, values)["feet_corner_force"]
+    assert forces.tolist() == [[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]] * 2

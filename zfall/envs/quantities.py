@@ -40,6 +40,9 @@ class Quantities:
         qpos_index, qvel_index: where each joint's angle and speed lie in the state ``(J,)``.
         mass: total mass [kg].
         control_dt: length of a control step [s].
+
+    Raises:
+        ValueError: if a sensor has another number of values than its quantity.
     """
 
     def __init__(
@@ -56,32 +59,37 @@ class Quantities:
         self._mass = np.array([[mass]])
         self._gravity = np.array([[0.0, 0.0, -1.0]])
 
-        def first(*names: str) -> NDArray[np.int64]:
+        def first(size: int, *names: str) -> NDArray[np.int64]:
+            for name in names:  # nothing looks at sizes once it is compiled
+                found = sensors[name].stop - sensors[name].start
+                if found != size:
+                    raise ValueError(f"sensor {name} must have {size} values, got {found}.")
             return np.array([sensors[name].start for name in names])
 
-        def of_feet(name: str) -> NDArray[np.int64]:
-            return first(*(f"{name}/{foot}" for foot in robot.feet))
+        def of_feet(name: str, size: int) -> NDArray[np.int64]:
+            return first(size, *(f"{name}/{foot}" for foot in robot.feet))
 
         corners = [[f"feet_corner_force/{f}/{c}" for c in robot.corners] for f in robot.feet]
         parts = [[name for name in sensors if name_in_region(name, r)] for r in robot.regions]
         self.columns = Columns(
             qpos=qpos_index.numpy(),
             qvel=qvel_index.numpy(),
-            torque=first(*(f"joint_torque/{joint}" for joint in robot.joints)),
-            acceleration=sensors["base_acceleration"].start,
-            com_position=sensors["com_position"].start,
-            com_velocity=sensors["com_velocity"].start,
-            angular_momentum=sensors["angular_momentum"].start,
-            feet_position=of_feet("feet_position"),
-            feet_orientation=of_feet("feet_orientation"),
-            feet_velocity=of_feet("feet_velocity"),
-            feet_contact=of_feet("feet_contact"),
-            corners=np.stack([first(*names) for names in corners]),
-            parts=np.concatenate([first(*names) for names in parts]),
+            torque=first(1, *(f"joint_torque/{joint}" for joint in robot.joints)),
+            acceleration=int(first(3, "base_acceleration")[0]),
+            com_position=int(first(3, "com_position")[0]),
+            com_velocity=int(first(3, "com_velocity")[0]),
+            angular_momentum=int(first(3, "angular_momentum")[0]),
+            feet_position=of_feet("feet_position", 3),
+            feet_orientation=of_feet("feet_orientation", 4),
+            feet_velocity=of_feet("feet_velocity", 3),
+            feet_contact=of_feet("feet_contact", 7),
+            corners=np.stack([first(3, *names) for names in corners]),
+            parts=np.concatenate([first(3, *names) for names in parts]),
             regions=np.cumsum([0, *(len(names) for names in parts)]),
         )
         spec = observation_spec(robot, 1, with_ball=False)
         self._shapes = {key: tuple(spec[key].shape[1:]) for key in Observed._fields}
+        self._shapes["feet_corner_force"] = self.columns.corners.shape
 
     def __call__(
         self,

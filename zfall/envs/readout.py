@@ -1,7 +1,6 @@
 """From MuJoCo's arrays to those of named quantities, in one pass that is compiled.
 
-In torch the same takes some sixty operations, each slow for what it needs has left the caches while
-the physics ran: 2.8 ms per control step of 256 worlds and its resets, 1.1 ms here.
+In torch the same takes some sixty operations, and more than twice as long.
 """
 
 from typing import Any, NamedTuple
