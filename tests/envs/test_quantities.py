@@ -133,3 +133,18 @@ def test_a_sole_has_as_many_corners_as_its_robot_says(make_base):
         values[:, -1, sensors[f"feet_corner_force/right/{corner}"].start + 2] = -force
     forces = read(env.simulation.qpos, env.simulation.qvel, values)["feet_corner_force"]
     assert forces.tolist() == [[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]] * 2
+
+
+def test_worlds_to_read_come_with_what_the_others_are(make_base):
+    env = make_base(num_envs=2)
+    states = env.simulation.qpos, env.simulation.qvel
+    sensors = torch.zeros(2, env.substeps, env.simulation.model.nsensordata, dtype=torch.float64)
+    with pytest.raises(ValueError, match="index and before must be given together"):
+        env._quantities(*states, sensors, index=torch.tensor([1]))
+    everything = env._quantities(*states, sensors)
+    sensors[:] = torch.arange(1.0, sensors.shape[-1] + 1, dtype=torch.float64)
+    part = env._quantities(*states, sensors, index=torch.tensor([1]), before=everything)
+    whole = env._quantities(*states, sensors)
+    for key, value in part.items():
+        assert_close(value[0], everything[key][0], rtol=0, atol=0)
+        assert_close(value[1], whole[key][1], rtol=0, atol=0)

@@ -111,7 +111,12 @@ class Quantities:
             mass: total mass ``(N, 1)`` [kg] if it differs from world to world.
             index: worlds ``(K,)`` to read; all if ``None``. Then
             before: what those of the other worlds are.
+
+        Raises:
+            ValueError: on one of ``index`` and ``before`` without the other.
         """
+        if (index is None) != (before is None):
+            raise ValueError("index and before must be given together, got one of them.")
         if index is None or before is None:
             num, rows = len(qpos), np.arange(len(qpos))
             arrays = {
