@@ -62,6 +62,8 @@ def check_ranges(cfg: DictConfig) -> None:
     for key, example in _TABLES.items():
         if not (isinstance(cfg[key], DictConfig) or (key == "scheduler" and cfg[key] is None)):
             raise ValueError(f"{key} must be a table, {example}, got {cfg[key]}.")
+        if key != "auxiliary_losses" and "_target_" not in (cfg[key] or {"_target_": None}):
+            raise ValueError(f"{key} must have a _target_, {example}, got none.")
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "be a number, at least 0")
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))

@@ -70,6 +70,7 @@ BAD = [
     (["loss.gamma=2"], "loss.gamma must lie in [0, 1], got 2"),
     (["loss.clip_epsilon=abc"], "loss.clip_epsilon must lie in (0, 1], got abc"),
     (["optimizer=null"], "optimizer must be a table, {_target_: torch.optim.Adam"),
+    (["~optimizer._target_"], "optimizer must have a _target_, {_target_: torch.optim.Adam"),
     (["auxiliary_losses=3"], "auxiliary_losses must be a table, {NAME:"),
     (
         ["env.transforms.noise.std=3"],
