@@ -119,7 +119,9 @@ class _Layer(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         inputs, memory, goes_on, weight_in, weight, gates, recalled, states = ctx.saved_tensors
         size = weight.shape[1]
-        before = torch.cat([memory[None], states[:-1] * goes_on[1:]])
+        before = torch.empty_like(states)
+        before[0] = memory
+        torch.mul(states[:-1], goes_on[1:], out=before[1:])
         reset, keep, new = gates.split(size, 2)
         # By how much a state moves with the arguments of r and z, and with what n recalls.
         slopes = torch.empty_like(gates)
@@ -128,15 +130,19 @@ class _Layer(torch.autograd.Function):
         torch.mul(of_new, reset, out=of_recall)
         torch.mul(of_recall, 1 - reset, out=of_reset).mul_(recalled[..., 2 * size :])
         torch.mul(before - new, keep, out=of_keep).mul_(1 - keep)
-        kept = keep * goes_on
         grads = grad.clone(memory_format=torch.contiguous_format)  # by the states, in the end
-        by_recalled = torch.empty_like(slopes)
-        by_gate, slopes_of_gate = (x.unflatten(2, (3, size)) for x in (by_recalled, slopes))
-        for t in reversed(range(len(grads))):
-            torch.mul(grads[t].unsqueeze(1), slopes_of_gate[t], out=by_gate[t])
-            if t:
-                past = grads[t - 1].addcmul_(grads[t], kept[t])
-                past.addcmul_(by_recalled[t] @ weight, goes_on[t])
+        by_recalled, passed = torch.empty_like(slopes), torch.empty_like(memory)
+        parts = (grads, keep * goes_on, goes_on, by_recalled, *slopes.split(size, 2))
+        steps = list(zip(*(x.unbind() for x in (*parts, *by_recalled.split(size, 2))), strict=True))
+        for step, earlier in zip(reversed(steps), [*reversed(steps[:-1]), None], strict=True):
+            here, kept, on, by, of_reset, of_keep, of_recall, by_reset, by_keep, by_recall = step
+            # Gate by gate: all at once are so large that a second thread is asked, and waited for.
+            torch.mul(here, of_reset, out=by_reset)
+            torch.mul(here, of_keep, out=by_keep)
+            torch.mul(here, of_recall, out=by_recall)
+            if earlier is not None:
+                torch.mm(by, weight, out=passed)
+                earlier[0].addcmul_(here, kept).addcmul_(passed, on)
         rows = by_recalled.flatten(0, 1)  # (T N, 3 H)
         grad_weight, grad_bias = rows.t() @ before.flatten(0, 1), rows.sum(0)
         # From here on rows are by W x + b, which differs in n: r does not scale it.

@@ -24,8 +24,8 @@ class _Bounded(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         (value,), (low, high) = ctx.saved_tensors, ctx.bounds
-        outwards = ((value >= high) & (grad < 0)) | ((value <= low) & (grad > 0))
-        return grad.masked_fill(outwards, 0.0), None, None
+        grad = torch.where(value >= high, grad.clamp_min(0.0), grad)
+        return torch.where(value <= low, grad.clamp_max(0.0), grad), None, None
 
 
 class GaussianHead(nn.Module):
