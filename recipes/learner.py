@@ -97,7 +97,10 @@ class Learner:
         }
         for place, module in {"loss": self.loss, **reading}.items():
             check_parameters(module, place, self.parameters)
-        self.optimizer = instantiate(cfg.optimizer, self.parameters)
+        kind, optimizer = instantiate(cfg.optimizer, _partial_=True).func, dict(cfg.optimizer)
+        if "fused" not in inspect.signature(kind).parameters:
+            optimizer.pop("fused", None)  # Adam's, from train.yaml: another has taken its place
+        self.optimizer = instantiate(optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
         if self.scheduler and not (
             "kl" in inspect.signature(self.scheduler.step).parameters
@@ -118,7 +121,7 @@ class Learner:
         flags += ["episode_reward", "step_count", "diverged"]
         after = [("next", key) for key in [*self.critic.in_keys, *flags]]
         self._stored = [*self._learned, "state_value", *after]
-        self._recurrent = bool(hidden)
+        self._hidden = hidden
         samples = cfg.num_envs * (1 if hidden else cfg.rollout_steps)
         if cfg.minibatches > samples:
             kind = "sequences" if hidden else "samples"
@@ -178,13 +181,15 @@ class Learner:
             advantage = batch["advantage"]
             batch["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-6)
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
-        if not self._recurrent:
-            data = data.reshape(-1)  # else a minibatch holds whole sequences
+        memory = data.select(*self._hidden)[:, :1]  # of sequences: before their first step
+        data = data.exclude(*self._hidden) if self._hidden else data.reshape(-1)
         passes = 0
         for _ in range(cfg.epochs):
             passes, outputs, drawn = passes + 1, [], []
             for rows in torch.randperm(len(data)).tensor_split(cfg.minibatches):
                 part = data[rows]
+                if self._hidden:  # the same for every step, which costs nothing
+                    part.update(memory[rows].expand(part.shape))
                 if self.augmentation is not None:
                     part = self.augmentation(part)
                 if cfg.burn_in:

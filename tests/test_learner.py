@@ -499,6 +499,16 @@ def test_the_learning_rate_follows_the_divergence(compose_config, target, factor
         assert learner.optimizer.param_groups[0]["lr"] == pytest.approx(rate * factor**update)
 
 
+def test_another_optimizer_than_adam(compose_config):
+    """NAdam knows nothing of ``fused``, which is there for Adam; SGD does."""
+    names = {"torch.optim.NAdam": None, "torch.optim.SGD": True}
+    for name, fused in names.items():
+        learner = Learner(compose_config("num_envs=4", f"optimizer._target_={name}"))
+        learner.learn(learner.collect())
+        assert f"torch.optim.{type(learner.optimizer).__name__}" == name
+        assert learner.optimizer.defaults.get("fused") is fused
+
+
 class LossOfItsOwn(LossModule):
     """With a layer that nothing would train."""
 
