@@ -114,7 +114,7 @@ class GymnasiumPeer(MujocoEnv):
         """Draws the next push, after a rest from ``end`` on [s]."""
         rng = self.np_random
         self._start = end + rng.uniform(0.5, 3.0)
-        size, heading = rng.uniform(0.1, 0.7), rng.uniform(0.0, 2.0 * np.pi)
+        size, heading = rng.uniform(0.2, 0.6), rng.uniform(0.0, 2.0 * np.pi)
         newton = size * ZEROTH01.impulse_unit / 0.1
         self._force = newton * np.array([np.cos(heading), np.sin(heading), 0.0])
 

@@ -97,7 +97,7 @@ def test_peer_of_gymnasium_does_the_same_work(compose_config, falls):
 
 
 def test_peer_of_gymnasium_pushes_with_the_impulse_asked():
-    """Sum of force x time over one push, of size 0.1 to 0.7; the mean over a step is observed."""
+    """Sum of force x time over one push; the mean over a step is observed."""
     peer = peers.GymnasiumPeer()
     peer.reset(seed=1)
     peer._force = np.array([0.0, 10.0, 0.0])
