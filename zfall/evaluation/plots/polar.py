@@ -72,7 +72,8 @@ def success_map(
     _draw_references(axes, lines, "white", rim=True)
     axes.set_ylim(0, reach)
     if withstood + step < impulses[-1]:  # the rest of the map would be empty
-        title += f"\nnone recovered from I = {withstood + step:.1f} to {impulses[-1]:.1f}"
+        first, last = f"{withstood + step:.1f}", f"{impulses[-1]:.1f}"
+        title += f"\nnone recovered from I = {first}" + (f" to {last}" if last != first else "")
     axes.grid(False)
     axes.set_thetagrids(
         [0, 45, 90, 135, 180, 225, 270, 315],
