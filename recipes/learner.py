@@ -56,6 +56,13 @@ class Learner:
             self._build(loss, self.actor, place=f"auxiliary_losses.{name}")
             for name, loss in cfg.auxiliary_losses.items()
         ]
+        # These want to know what the policy does elsewhere, too; of a mode they ask it themselves.
+        self._statistic = self.actor[-1].distribution_kwargs.get("statistic", "mean")
+        self._asking = [
+            loss
+            for loss in self.auxiliary
+            if hasattr(loss, "companions") and self._statistic == "mean"
+        ]
         self.augmentation = None
         if cfg.augmentation:
             self.augmentation = self._build(
@@ -194,8 +201,7 @@ class Learner:
                     part = self.augmentation(part)
                 if cfg.burn_in:
                     part = burnt_in(part, self._remembering, cfg.burn_in)
-                out = self.loss(part)
-                some = self._some(part)
+                out, some = self._ppo(part)
                 for auxiliary in self.auxiliary:
                     written = auxiliary(some)
                     if not any(key.startswith("loss_") for key in written.keys()):
@@ -232,17 +238,27 @@ class Learner:
         self.updates += 1
         return means
 
-    def _some(self, part: TensorDictBase) -> TensorDictBase:
-        """What the losses beside PPO's see of a minibatch, and what PPO's knows of it already."""
-        some = part[: max(1, round(self.cfg.auxiliary_share * len(part)))]  # the order is random
-        distribution, self.loss.distribution = self.loss.distribution, None
-        memory, self.loss.memory = self.loss.memory, {}
-        if self.auxiliary and getattr(distribution, "statistic", "mean") == "mean":
+    def _ppo(self, part: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """PPO's losses of a minibatch, and what of it those beside see, with what it found out."""
+        loss = self.loss
+        rows = max(1, round(self.cfg.auxiliary_share * len(part)))
+        some = part[:rows]  # the order is random
+        asked = [asking.companions(some) for asking in self._asking]
+        loss.beside = torch.cat(asked) if asked else None
+        out = loss(part)
+        distribution, loss.distribution = loss.distribution, None
+        elsewhere, loss.distribution_beside = loss.distribution_beside, None
+        memory, loss.memory = loss.memory, {}
+        if self.auxiliary and self._statistic == "mean":
             # A mode is searched for: those who need it do so for their share alone.
-            some["deterministic_action"] = distribution.deterministic_sample[: len(some)]
+            some["deterministic_action"] = distribution.deterministic_sample[:rows]
             for key, value in memory.items():
-                some[key] = value[: len(some)]
-        return some
+                some[key] = value[:rows]
+        if asked:
+            actions = elsewhere.deterministic_sample.split(rows)
+            for asking, action in zip(self._asking, actions, strict=True):
+                some[asking.companion_key] = action
+        return out, some
 
     def _buffers(self) -> dict[str, torch.Tensor]:
         modules = {"loss": self.loss, "augmentation": self.augmentation}

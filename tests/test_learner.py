@@ -443,24 +443,27 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     batch = learner.collect()
     learner.learn(batch)
     part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
+    taken = {"deterministic_action": "loss_temporal", "mirrored_action": "loss_symmetry"}
     found = []
     for known in (True, False):
         with set_recurrent_mode(True):
-            learner.loss(part)
-        some = learner._some(part)
-        some = some if known else some.exclude("deterministic_action")
+            out, some = learner._ppo(part)
+            if not known:
+                out, some = learner.loss(part), some.exclude(*taken)
         torch.manual_seed(0)
         values = {k: v for loss in learner.auxiliary for k, v in loss(some).items()}
+        values |= {k: v for k, v in out.items() if k.startswith("loss_")}
         learner.optimizer.zero_grad()
         sum(values.values()).backward()
-        gradient = [p.grad.clone() for p in learner.actor.parameters() if p.grad is not None]
+        gradient = [p.grad.clone() for p in learner.parameters]
         found.append((values, gradient))
         if known:  # and they do take them
-            moved = some.copy().update({"deterministic_action": 2 * some["deterministic_action"]})
-            changed = {k: v for loss in learner.auxiliary for k, v in loss(moved).items()}
-            for key in ("loss_temporal", "loss_symmetry"):
+            for action, key in taken.items():
+                moved = some.copy().update({action: 2 * some[action]})
+                changed = {k: v for loss in learner.auxiliary for k, v in loss(moved).items()}
                 assert changed[key] > 1.1 * values[key]
-    assert all(value > 1e-6 for value in found[0][0].values())
+    beside = ("loss_temporal", "loss_spatial", "loss_symmetry")
+    assert all(found[0][0][key] > 1e-6 for key in beside)
     assert sum(g.abs().sum() for g in found[0][1]) > 1e-3
     assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
 

@@ -1,9 +1,11 @@
 """Proximal policy optimisation with what RLlib's has beside the clipping."""
 
+from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, TensorDictParams
 from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
 
@@ -33,7 +35,10 @@ class PenalizedPPOLoss(ClipPPOLoss):
 
     Without the three it is ``ClipPPOLoss``. ``distribution`` is that of the actions in the last
     batch, and ``memory`` ``(N, T, layers, H)`` that of a recurrent actor after each step, by its
-    key, both with their graph, so that losses beside this one need not run the actor again.
+    key, both with their graph, so that losses beside this one need not run the actor again. What
+    they want to know of other states they put into ``beside``, inputs of the actor ``(M, ...)`` or
+    ``(M, T, ...)``: it goes through them along with the next batch, as a recurrent one takes nearly
+    as long for a few sequences as for many, and ``distribution_beside`` is that of its actions.
 
     Keys: as ``ClipPPOLoss``; also writes ``kl`` ``()``, the mean of ``r - 1 - log r``, and with a
     penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says which samples are ``mirrored``
@@ -92,6 +97,8 @@ class PenalizedPPOLoss(ClipPPOLoss):
         self._log_ratio: Any = None
         self.distribution: Any = None
         self.memory: dict[NestedKey, Tensor] = {}
+        self.beside: TensorDictBase | None = None
+        self.distribution_beside: Any = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Losses and figures of a batch, each ``()``."""
@@ -136,3 +143,37 @@ class PenalizedPPOLoss(ClipPPOLoss):
         after: list[NestedKey] = [("next", key) for key in recurrent_keys(self.actor_network)]
         self.memory = {key: tensordict[key] for key in after}
         return result
+
+    def _get_cur_log_prob(
+        self, tensordict: TensorDictBase, params: TensorDictParams | None = None
+    ) -> tuple[Tensor, Any, bool]:
+        beside, self.beside = self.beside, None
+        if beside is None:
+            result: tuple[Tensor, Any, bool] = super()._get_cur_log_prob(tensordict, params)
+            return result
+        actor, rows = self.actor_network, len(tensordict)
+        if params is None:
+            params = self.actor_network_params
+        seen = _together([tensordict, beside], actor.in_keys, recurrent_keys(actor))
+        with (
+            params.to_module(actor, preserve_module_state=False)
+            if self.functional
+            else nullcontext()
+        ):
+            found = actor.get_dist_params(seen)
+            distribution = actor.build_dist_from_params(found[:rows])
+            self.distribution_beside = actor.build_dist_from_params(found[rows:])
+        for key in recurrent_keys(actor):
+            tensordict["next", key] = found["next", key][:rows]
+        return distribution.log_prob(tensordict["action"]), distribution, False
+
+
+def _together(
+    batches: Sequence[TensorDictBase], keys: Sequence[NestedKey], memories: Sequence[NestedKey]
+) -> TensorDictBase:
+    """Rows of all batches; of memories what sequences read, that before the first step."""
+    rows = torch.cat([batch.select(*keys).exclude(*memories) for batch in batches])
+    for key in memories:
+        first = torch.cat([batch[key][:, :1] for batch in batches])
+        rows[key] = first.expand(*rows.shape, *first.shape[2:])
+    return rows

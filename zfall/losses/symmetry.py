@@ -29,7 +29,7 @@ class SymmetryLoss(LossModule):
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)`` or sequences ``(N, T, ...)`` of a recurrent
     one, and then ``recurrent_state_actor_mirrored``. mu(o) is taken from ``deterministic_action``,
-    if the batch has it. Writes ``loss_symmetry`` ``()``.
+    and mu(M o) from ``mirrored_action``, if the batch has them. Writes ``loss_symmetry`` ``()``.
 
     Args:
         actor_network: the policy.
@@ -43,6 +43,7 @@ class SymmetryLoss(LossModule):
     """
 
     mirrored = ("observation", "action")
+    companion_key = "mirrored_action"
     actor_network: ProbabilisticActor
     out_keys = ["loss_symmetry"]
 
@@ -61,19 +62,28 @@ class SymmetryLoss(LossModule):
         self.memories = memories([actor_network], mirrors)
         self.in_keys = [*actor_network.in_keys, *(memory.key for memory in self.memories)]
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The loss of a batch."""
-        here = tensordict.select(*self.actor_network.in_keys)
-        image = here.copy().set("observation", self.mirrors["observation"](here["observation"]))
+    def companions(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The mirror image of what the policy read, of which ``mirrored_action`` is to be."""
+        image = tensordict.select(*self.actor_network.in_keys)
+        image["observation"] = self.mirrors["observation"](image["observation"])
         for memory in self.memories:
             image[memory.hidden] = tensordict[memory.key]
+        return image
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The loss of a batch."""
         mu = tensordict.get("deterministic_action", None)
-        seen = image if mu is not None else torch.cat([here, image])
-        with set_recurrent_mode(bool(self.memories)):
-            acted = self.actor_network.get_dist(seen).deterministic_sample
-        mu, mirrored = acted.chunk(2) if mu is None else (mu, acted)
+        if mu is None:
+            mu = self._act(tensordict.select(*self.actor_network.in_keys))
+        mirrored = tensordict.get(self.companion_key, None)
+        if mirrored is None:
+            mirrored = self._act(self.companions(tensordict))
         error = (mirrored - self.mirrors["action"](mu)).square().sum(-1).mean()
         return TensorDict({"loss_symmetry": self.coeff * error})
+
+    def _act(self, batch: TensorDictBase) -> Tensor:
+        with set_recurrent_mode(bool(self.memories)):
+            return self.actor_network.get_dist(batch).deterministic_sample
 
 
 class SymmetryAugmentation(nn.Module):
