@@ -440,8 +440,11 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     learner = Learner(compose_config(*options, "caps=atalante", "symmetry=loss"))
     for parameter in learner.actor.parameters():  # away from a policy that does nothing
         parameter.data.add_(torch.randn_like(parameter), alpha=0.1)
+    learner.learn(learner.collect())
     batch = learner.collect()
-    learner.learn(batch)
+    assert not batch["is_init"][:8, 0].any()  # memories are of more than nothing
+    with torch.no_grad(), set_recurrent_mode(True):
+        learner.advantage(batch)
     part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
     taken = {"deterministic_action": "loss_temporal", "mirrored_action": "loss_symmetry"}
     found = []
