@@ -56,13 +56,6 @@ class Learner:
             self._build(loss, self.actor, place=f"auxiliary_losses.{name}")
             for name, loss in cfg.auxiliary_losses.items()
         ]
-        # These want to know what the policy does elsewhere, too; of a mode they ask it themselves.
-        self._statistic = self.actor[-1].distribution_kwargs.get("statistic", "mean")
-        self._asking = [
-            loss
-            for loss in self.auxiliary
-            if hasattr(loss, "companions") and self._statistic == "mean"
-        ]
         self.augmentation = None
         if cfg.augmentation:
             self.augmentation = self._build(
@@ -97,6 +90,11 @@ class Learner:
                 gamma=loss.gamma, lmbda=loss.lmbda, value_network=self.critic, deactivate_vmap=True
             )
         self.loss = ppo_loss(loss, self.actor, self.critic)
+        # These want to know what the policy does elsewhere, too: PPO's loss finds out, one's own
+        # may not, and a mode is searched for by those who need it.
+        statistic = self.actor[-1].distribution_kwargs.get("statistic", "mean")
+        asks = type(self.loss) is PenalizedPPOLoss and statistic == "mean"
+        self._asking = [x for x in self.auxiliary if asks and hasattr(x, "companions")]
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         reading: dict[str, Any] = {
             f"auxiliary_losses.{name}": loss
@@ -105,7 +103,8 @@ class Learner:
         for place, module in {"loss": self.loss, **reading}.items():
             check_parameters(module, place, self.parameters)
         kind, optimizer = instantiate(cfg.optimizer, _partial_=True).func, dict(cfg.optimizer)
-        if "fused" not in inspect.signature(kind).parameters:
+        known = inspect.signature(kind).parameters.values()
+        if not any(value.name == "fused" or value.kind is value.VAR_KEYWORD for value in known):
             optimizer.pop("fused", None)  # Adam's, from train.yaml: another has taken its place
         self.optimizer = instantiate(optimizer, self.parameters)
         self.scheduler = instantiate(cfg.scheduler, self.optimizer) if cfg.scheduler else None
@@ -128,7 +127,7 @@ class Learner:
         flags += ["episode_reward", "step_count", "diverged"]
         after = [("next", key) for key in [*self.critic.in_keys, *flags]]
         self._stored = [*self._learned, "state_value", *after]
-        self._hidden = hidden
+        self._recurrent = bool(hidden)
         samples = cfg.num_envs * (1 if hidden else cfg.rollout_steps)
         if cfg.minibatches > samples:
             kind = "sequences" if hidden else "samples"
@@ -188,21 +187,21 @@ class Learner:
             advantage = batch["advantage"]
             batch["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-6)
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
-        memory = data.select(*self._hidden)[:, :1]  # of sequences: before their first step
-        data = data.exclude(*self._hidden) if self._hidden else data.reshape(-1)
+        if not self._recurrent:
+            data = data.reshape(-1)  # else a minibatch holds whole sequences
         passes = 0
         for _ in range(cfg.epochs):
             passes, outputs, drawn = passes + 1, [], []
             for rows in torch.randperm(len(data)).tensor_split(cfg.minibatches):
                 part = data[rows]
-                if self._hidden:  # the same for every step, which costs nothing
-                    part.update(memory[rows].expand(part.shape))
                 if self.augmentation is not None:
                     part = self.augmentation(part)
                 if cfg.burn_in:
                     part = burnt_in(part, self._remembering, cfg.burn_in)
-                out, some = self._ppo(part)
+                out, some, actions = self._ppo(part)
                 for auxiliary in self.auxiliary:
+                    if auxiliary in actions:
+                        some[auxiliary.companion_key] = actions[auxiliary]
                     written = auxiliary(some)
                     if not any(key.startswith("loss_") for key in written.keys()):
                         raise ValueError(
@@ -238,8 +237,10 @@ class Learner:
         self.updates += 1
         return means
 
-    def _ppo(self, part: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """PPO's losses of a minibatch, and what of it those beside see, with what it found out."""
+    def _ppo(
+        self, part: TensorDictBase
+    ) -> tuple[TensorDictBase, TensorDictBase, dict[torch.nn.Module, torch.Tensor]]:
+        """PPO's losses of a minibatch, what those beside see of it, what some of them asked for."""
         loss = self.loss
         rows = max(1, round(self.cfg.auxiliary_share * len(part)))
         some = part[:rows]  # the order is random
@@ -249,16 +250,13 @@ class Learner:
         distribution, loss.distribution = loss.distribution, None
         elsewhere, loss.distribution_beside = loss.distribution_beside, None
         memory, loss.memory = loss.memory, {}
-        if self.auxiliary and self._statistic == "mean":
+        if self.auxiliary and getattr(distribution, "statistic", "mean") == "mean":
             # A mode is searched for: those who need it do so for their share alone.
             some["deterministic_action"] = distribution.deterministic_sample[:rows]
             for key, value in memory.items():
                 some[key] = value[:rows]
-        if asked:
-            actions = elsewhere.deterministic_sample.split(rows)
-            for asking, action in zip(self._asking, actions, strict=True):
-                some[asking.companion_key] = action
-        return out, some
+        actions = elsewhere.deterministic_sample.split(rows) if asked else ()
+        return out, some, dict(zip(self._asking, actions, strict=True))
 
     def _buffers(self) -> dict[str, torch.Tensor]:
         modules = {"loss": self.loss, "augmentation": self.augmentation}

@@ -62,7 +62,7 @@ def check_ranges(cfg: DictConfig) -> None:
     for key, example in _TABLES.items():
         if not (isinstance(cfg[key], DictConfig) or (key == "scheduler" and cfg[key] is None)):
             raise ValueError(f"{key} must be a table, {example}, got {cfg[key]}.")
-        if key != "auxiliary_losses" and "_target_" not in (cfg[key] or {"_target_": None}):
+        if key != "auxiliary_losses" and cfg[key] is not None and "_target_" not in cfg[key]:
             raise ValueError(f"{key} must have a _target_, {example}, got none.")
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "be a number, at least 0")

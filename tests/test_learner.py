@@ -3,14 +3,21 @@
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import set_composite_lp_aggregate
+from tensordict.nn import (
+    NormalParamExtractor,
+    TensorDictModule,
+    TensorDictSequential,
+    set_composite_lp_aggregate,
+)
+from torch import nn
 from torch.testing import assert_close
-from torchrl.modules import set_recurrent_mode
+from torchrl.modules import GRUModule, IndependentNormal, ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from recipes.learner import Learner
 from recipes.metrics import batch_metrics
 from zfall.losses.burn_in import burnt_in
+from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
@@ -436,13 +443,21 @@ def test_losses_beside_ppos_see_a_share_of_each_minibatch(compose_config, share,
 @pytest.mark.parametrize("actor", ["mlp_mog", "gru_mog"])
 def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compose_config, actor):
     """Their values and gradients, with the actions of PPO's pass and with passes of their own."""
-    options = ("num_envs=16", "rollout_steps=8", f"actor={actor}", "auxiliary_share=0.5")
+    options = (
+        "num_envs=16",
+        "rollout_steps=12",
+        f"actor={actor}",
+        "auxiliary_share=0.5",
+        "env.transforms.limit.seconds=0.36",
+    )  # nine steps: ends within the second batch
     learner = Learner(compose_config(*options, "caps=atalante", "symmetry=loss"))
     for parameter in learner.actor.parameters():  # away from a policy that does nothing
         parameter.data.add_(torch.randn_like(parameter), alpha=0.1)
     learner.learn(learner.collect())
     batch = learner.collect()
-    assert not batch["is_init"][:8, 0].any()  # memories are of more than nothing
+    begins = batch["is_init"][:8]
+    assert not begins[:, 0].any()  # memories are of more than nothing
+    assert begins[:, 1:].any()
     with torch.no_grad(), set_recurrent_mode(True):
         learner.advantage(batch)
     part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
@@ -450,7 +465,9 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     found = []
     for known in (True, False):
         with set_recurrent_mode(True):
-            out, some = learner._ppo(part)
+            out, some, actions = learner._ppo(part)
+            (symmetry,) = actions
+            some[symmetry.companion_key] = actions[symmetry]
             if not known:
                 out, some = learner.loss(part), some.exclude(*taken)
         torch.manual_seed(0)
@@ -469,6 +486,50 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     assert all(found[0][0][key] > 1e-6 for key in beside)
     assert sum(g.abs().sum() for g in found[0][1]) > 1e-3
     assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
+
+
+def gru_of_torchrl(observation_spec, action_spec):
+    """Its module, which takes the memory that is stored where an episode begins in a sequence."""
+    size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
+    gru = GRUModule(input_size=size, hidden_size=16, in_keys=["observation", "recurrent_state_own",
+                    "is_init"], out_keys=["features", ("next", "recurrent_state_own")])  # fmt: skip
+    head = nn.Sequential(nn.Linear(16, 2 * joints), NormalParamExtractor())
+    module = TensorDictSequential(
+        gru, TensorDictModule(head, in_keys=["features"], out_keys=["loc", "scale"])
+    )
+    actor = ProbabilisticActor(
+        module, in_keys=["loc", "scale"], distribution_class=IndependentNormal, return_log_prob=True
+    )
+    actor.select_out_keys("action", "action_log_prob", ("next", "recurrent_state_own"))
+    return actor
+
+
+def test_a_recurrent_actor_made_of_torchrls_module_replays_what_it_did(compose_config):
+    """Before the first step the divergence is 0, across episodes that begin in a sequence."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=12", "epochs=1", "minibatches=1",
+                       "env.transforms.limit.seconds=0.36", "~actor",
+                       "+actor={_target_: tests.test_learner.gru_of_torchrl}")
+    )  # fmt: skip
+    for _ in range(2):
+        batch = learner.collect()
+        means = learner.learn(batch)
+    assert batch["is_init"][:, 1:].any()
+    assert abs(means["kl"]) < 1e-6
+
+
+class LossWithItsOwnPass(PenalizedPPOLoss):
+    """Asks the actor itself for what its actions are drawn from."""
+
+    def _get_cur_log_prob(self, tensordict, params=None):
+        distribution = self.actor_network.get_dist(tensordict)
+        return distribution.log_prob(tensordict["action"]), distribution, False
+
+
+def test_a_ppo_loss_with_a_pass_of_its_own_goes_with_losses_that_ask_for_companions(compose_config):
+    own = "+loss._target_=tests.test_learner.LossWithItsOwnPass"
+    learner = Learner(compose_config("num_envs=4", "rollout_steps=4", own, "symmetry=loss"))
+    assert learner.learn(learner.collect())["loss_symmetry"] > 0
 
 
 def test_the_order_of_sequences_changes_nothing(compose_config):

@@ -1,6 +1,5 @@
 """Proximal policy optimisation with what RLlib's has beside the clipping."""
 
-from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -140,40 +139,31 @@ class PenalizedPPOLoss(ClipPPOLoss):
         """What TorchRL computes anyway and does not give out: the actor need not run again."""
         result = super()._log_weight(tensordict, *args, **kwargs)
         self._log_ratio, self.distribution = result[:2]
-        after: list[NestedKey] = [("next", key) for key in recurrent_keys(self.actor_network)]
-        self.memory = {key: tensordict[key] for key in after}
         return result
 
     def _get_cur_log_prob(
         self, tensordict: TensorDictBase, params: TensorDictParams | None = None
     ) -> tuple[Tensor, Any, bool]:
         beside, self.beside = self.beside, None
-        if beside is None:
-            result: tuple[Tensor, Any, bool] = super()._get_cur_log_prob(tensordict, params)
-            return result
         actor, rows = self.actor_network, len(tensordict)
-        if params is None:
-            params = self.actor_network_params
-        seen = _together([tensordict, beside], actor.in_keys, recurrent_keys(actor))
-        with (
-            params.to_module(actor, preserve_module_state=False)
-            if self.functional
-            else nullcontext()
-        ):
-            found = actor.get_dist_params(seen)
-            distribution = actor.build_dist_from_params(found[:rows])
-            self.distribution_beside = actor.build_dist_from_params(found[rows:])
-        for key in recurrent_keys(actor):
-            tensordict["next", key] = found["next", key][:rows]
-        return distribution.log_prob(tensordict["action"]), distribution, False
-
-
-def _together(
-    batches: Sequence[TensorDictBase], keys: Sequence[NestedKey], memories: Sequence[NestedKey]
-) -> TensorDictBase:
-    """Rows of all batches; of memories what sequences read, that before the first step."""
-    rows = torch.cat([batch.select(*keys).exclude(*memories) for batch in batches])
-    for key in memories:
-        first = torch.cat([batch[key][:, :1] for batch in batches])
-        rows[key] = first.expand(*rows.shape, *first.shape[2:])
-    return rows
+        memories: list[NestedKey] = [("next", key) for key in recurrent_keys(actor)]
+        result: tuple[Tensor, Any, bool]
+        if beside is None:
+            result = super()._get_cur_log_prob(tensordict, params)
+        else:
+            inputs = [batch.select(*actor.in_keys) for batch in (tensordict, beside)]
+            weights = self.actor_network_params if params is None else params
+            with (
+                weights.to_module(actor, preserve_module_state=False)
+                if self.functional
+                else nullcontext()
+            ):
+                found = actor.get_dist_params(torch.cat(inputs))
+                distribution = actor.build_dist_from_params(found[:rows])
+                self.distribution_beside = actor.build_dist_from_params(found[rows:])
+            for key in memories:
+                tensordict[key] = found[key][:rows]
+            result = distribution.log_prob(tensordict[self.tensor_keys.action]), distribution, False
+        if params is None:  # else they are a target's
+            self.memory = {key: tensordict[key] for key in memories}
+        return result

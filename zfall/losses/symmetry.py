@@ -29,7 +29,8 @@ class SymmetryLoss(LossModule):
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)`` or sequences ``(N, T, ...)`` of a recurrent
     one, and then ``recurrent_state_actor_mirrored``. mu(o) is taken from ``deterministic_action``,
-    and mu(M o) from ``mirrored_action``, if the batch has them. Writes ``loss_symmetry`` ``()``.
+    if the batch has it, and then mu(M o) from ``mirrored_action``, if it has that. Writes
+    ``loss_symmetry`` ``()``.
 
     Args:
         actor_network: the policy.
@@ -73,10 +74,14 @@ class SymmetryLoss(LossModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of a batch."""
         mu = tensordict.get("deterministic_action", None)
-        if mu is None:
-            mu = self._act(tensordict.select(*self.actor_network.in_keys))
         mirrored = tensordict.get(self.companion_key, None)
-        if mirrored is None:
+        if mu is None:
+            here, image = (
+                tensordict.select(*self.actor_network.in_keys),
+                self.companions(tensordict),
+            )
+            mu, mirrored = self._act(torch.cat([here, image])).chunk(2)
+        elif mirrored is None:
             mirrored = self._act(self.companions(tensordict))
         error = (mirrored - self.mirrors["action"](mu)).square().sum(-1).mean()
         return TensorDict({"loss_symmetry": self.coeff * error})
