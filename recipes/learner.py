@@ -93,8 +93,7 @@ class Learner:
         # These want to know what the policy does elsewhere, too: PPO's loss finds out, one's own
         # may not, and a mode is searched for by those who need it.
         statistic = self.actor[-1].distribution_kwargs.get("statistic", "mean")
-        asks = type(self.loss) is PenalizedPPOLoss and statistic == "mean"
-        self._asking = [x for x in self.auxiliary if asks and hasattr(x, "companions")]
+        self._answers = type(self.loss) is PenalizedPPOLoss and statistic == "mean"
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         reading: dict[str, Any] = {
             f"auxiliary_losses.{name}": loss
@@ -244,7 +243,8 @@ class Learner:
         loss = self.loss
         rows = max(1, round(self.cfg.auxiliary_share * len(part)))
         some = part[:rows]  # the order is random
-        asked = [asking.companions(some) for asking in self._asking]
+        asking = [x for x in self.auxiliary if self._answers and hasattr(x, "companions")]
+        asked = [x.companions(some) for x in asking]
         loss.beside = torch.cat(asked) if asked else None
         out = loss(part)
         distribution, loss.distribution = loss.distribution, None
@@ -256,7 +256,7 @@ class Learner:
             for key, value in memory.items():
                 some[key] = value[:rows]
         actions = elsewhere.deterministic_sample.split(rows) if asked else ()
-        return out, some, dict(zip(self._asking, actions, strict=True))
+        return out, some, dict(zip(asking, actions, strict=True))
 
     def _buffers(self) -> dict[str, torch.Tensor]:
         modules = {"loss": self.loss, "augmentation": self.augmentation}
