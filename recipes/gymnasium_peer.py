@@ -83,8 +83,8 @@ class GymnasiumPeer(MujocoEnv):
             0.1 * (not fell)
             + 0.1 * np.exp((up[2] - 1.0) / 0.1)
             + 0.05 * np.exp(-(error @ error) / 1.4**2)
-            + 0.05 * np.exp(-(speed @ speed) / 0.32**2)
-            - 0.001 * np.square(action - self._action).sum()
+            + 0.1 * np.exp(-(speed @ speed) / 0.32**2)
+            - 0.003 * np.square(action - self._action).sum()
             - 1.0 * fell
         )
         self._action, self._target = np.array(action), target
