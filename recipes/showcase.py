@@ -121,9 +121,10 @@ def frame(env: HumanoidEnv) -> float:
 def record(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.4
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side at 0.6 s.
+    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side.
 
-    One every ``frame`` seconds of 3.6 s; a force is the largest since the frame before.
+    One every ``frame`` seconds of 3.6 s, of which 0.6 lie before the push, which comes when that of
+    the battery does; a force is the largest since the frame before.
     """
     env, _, push = battery_env(battery, env_cfg, 64)
     base = env.base_env
@@ -131,11 +132,15 @@ def record(
     for index, degrees in enumerate(SIDES.values()):
         heading = math.radians(degrees)
         push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])
-    push.time[:] = 0.6
+    push.time[:] = battery.push_time
+    start = max(0, round((battery.push_time - 0.6) / base.control_dt))
     qpos, forces = [], []
     every = round(frame(base) / base.control_dt)
     recent: list[np.ndarray] = []
-    for step, td in enumerate(play(env, actor, round(3.6 / base.control_dt))):
+    steps = start + round(3.6 / base.control_dt)
+    for step, td in enumerate(play(env, actor, steps), start=-start):
+        if step < 0:
+            continue
         recent.append(td["push", "force"][:4].numpy().copy())
         if step % every == 0:
             qpos.append(base.simulation.qpos[:4].numpy().copy())
