@@ -76,11 +76,8 @@ class SymmetryLoss(LossModule):
         mu = tensordict.get("deterministic_action", None)
         mirrored = tensordict.get(self.companion_key, None)
         if mu is None:
-            here, image = (
-                tensordict.select(*self.actor_network.in_keys),
-                self.companions(tensordict),
-            )
-            mu, mirrored = self._act(torch.cat([here, image])).chunk(2)
+            here = tensordict.select(*self.actor_network.in_keys)
+            mu, mirrored = self._act(torch.cat([here, self.companions(tensordict)])).chunk(2)
         elif mirrored is None:
             mirrored = self._act(self.companions(tensordict))
         error = (mirrored - self.mirrors["action"](mu)).square().sum(-1).mean()
