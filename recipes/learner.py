@@ -243,19 +243,23 @@ class Learner:
         loss = self.loss
         rows = max(1, round(self.cfg.auxiliary_share * len(part)))
         some = part[:rows]  # the order is random
-        asking = [x for x in self.auxiliary if self._answers and hasattr(x, "companions")]
-        asked = [x.companions(some) for x in asking]
-        loss.beside = torch.cat(asked) if asked else None
+        asked = {}
+        for auxiliary in self.auxiliary if self._answers else ():
+            if hasattr(auxiliary, "companions"):
+                asked[auxiliary] = auxiliary.companions(some)
+        # Those that are seen with the memory of others come last.
+        asking = [x for x in asked if asked[x] is not None]
+        asking.sort(key=lambda x: "memory_of" in asked[x].keys())
+        loss.beside = [asked[x] for x in asking]
         out = loss(part)
         distribution, loss.distribution = loss.distribution, None
         elsewhere, loss.distribution_beside = loss.distribution_beside, None
-        memory, loss.memory = loss.memory, {}
         if self.auxiliary and getattr(distribution, "statistic", "mean") == "mean":
             # A mode is searched for: those who need it do so for their share alone.
             some["deterministic_action"] = distribution.deterministic_sample[:rows]
-            for key, value in memory.items():
-                some[key] = value[:rows]
-        actions = elsewhere.deterministic_sample.split(rows) if asked else ()
+        if not asking:
+            return out, some, {}
+        actions = elsewhere.deterministic_sample.split(rows)
         return out, some, dict(zip(asking, actions, strict=True))
 
     def _buffers(self) -> dict[str, torch.Tensor]:

@@ -463,12 +463,16 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
     taken = {"deterministic_action": ["loss_temporal", "loss_symmetry"],
              "mirrored_action": ["loss_symmetry"]}  # fmt: skip
+    if actor == "gru_mog":
+        taken["neighbour_action"] = ["loss_spatial"]
     found = []
     for known in (True, False):
+        torch.manual_seed(0)  # of the neighbours
         with set_recurrent_mode(True):
             out, some, actions = learner._ppo(part)
-            (symmetry,) = actions
-            some[symmetry.companion_key] = actions[symmetry]
+            assert {loss.companion_key for loss in actions} == {*taken} - {"deterministic_action"}
+            for loss, asked in actions.items():
+                some[loss.companion_key] = asked
             if not known:
                 out, some = learner.loss(part), some.exclude(*taken)
         torch.manual_seed(0)
@@ -509,7 +513,7 @@ def test_a_recurrent_actor_made_of_torchrls_module_replays_what_it_did(compose_c
     """Before the first step the divergence is 0, across episodes that begin in a sequence."""
     learner = Learner(
         compose_config("num_envs=8", "rollout_steps=12", "epochs=1", "minibatches=1",
-                       "env.transforms.limit.seconds=0.36", "~actor",
+                       "env.transforms.limit.seconds=0.36", "caps=atalante", "~actor",
                        "+actor={_target_: tests.test_learner.gru_of_torchrl}")
     )  # fmt: skip
     for _ in range(2):
@@ -517,6 +521,7 @@ def test_a_recurrent_actor_made_of_torchrls_module_replays_what_it_did(compose_c
         means = learner.learn(batch)
     assert batch["is_init"][:, 1:].any()
     assert abs(means["kl"]) < 1e-6
+    assert means["loss_spatial"] > 0  # asked by CAPS itself: it lends no memory
 
 
 class LossWithItsOwnPass(PenalizedPPOLoss):

@@ -67,6 +67,40 @@ def test_sequences_and_their_gradients_are_those_of_torch(module, batch):
         assert_close(ours, theirs, atol=1e-12, rtol=1e-12)
 
 
+def test_sequences_that_name_another_are_seen_with_its_memory(module, batch):
+    """One step of ``torch.nn.GRU`` from the memory that the other has there, and all gradients."""
+    lenders = [4, 1, 4, 0]  # one twice, one that begins in each step
+    seen = torch.randn(len(lenders), STEPS, SIZE, dtype=torch.float64)
+    weight = torch.randn(ROWS + len(lenders), STEPS, SIZE, dtype=torch.float64)
+
+    def theirs(seen):
+        """Of the batch, then of the others."""
+        out, after = by_torch(module, batch)
+        before = torch.cat([batch["memory"][:, :1], after[:, :-1]], 1)
+        before = torch.where(batch["is_init"][..., None], 0.0, before)[lenders].flatten(0, 1)
+        asked, _ = module.gru(seen.reshape(-1, 1, SIZE), before.transpose(0, 1).contiguous())
+        return torch.cat([out, asked.view(seen.shape)])
+
+    def ours(seen):
+        more = batch[lenders].set("features", seen)  # of whose own memories nothing is to be seen
+        more["memory"], more["is_init"] = torch.randn_like(more["memory"]), ~more["is_init"]
+        more["memory_of"] = torch.tensor(lenders)[:, None].expand(-1, STEPS)
+        own = batch.copy().set("memory_of", torch.full(batch.shape, -1))
+        with set_recurrent_mode(True):
+            return module(torch.cat([own, more]))["out"]
+
+    results = []
+    for function in (ours, theirs):
+        module.zero_grad()
+        given = seen.clone().requires_grad_()
+        out = function(given)
+        (out * weight).sum().backward()
+        results.append([out, given.grad, *(p.grad.clone() for p in module.parameters())])
+    for found, expected in zip(*results, strict=True):
+        assert expected.abs().max() > 0.05
+        assert_close(found, expected, atol=1e-12, rtol=1e-12)
+
+
 @pytest.mark.parametrize("shape", [(STEPS,), (2, 3, STEPS)])
 def test_any_number_of_axes_in_front_of_time(module, batch, shape):
     rows = batch[1:2] if len(shape) == 1 else batch

@@ -10,6 +10,7 @@ from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from zfall.modules.actors import normalizer_of, recurrent_keys
+from zfall.modules.gru import StackedGRU
 
 NORMS = {
     "l1": lambda x: x.abs().sum(-1),
@@ -36,9 +37,9 @@ class CAPSLoss(LossModule):
     episode's end are left out; both of the spatial pair have that memory.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)``, and ``("next", "observation")`` of a policy
-    without memory; ``(N, T, ...)`` of a recurrent one. mu is taken from ``deterministic_action``,
-    if the batch has it, and with it the memory after each step from under ``"next"``. Writes
-    ``loss_temporal`` and ``loss_spatial`` ``()``.
+    without memory; ``(N, T, ...)`` of a recurrent one. mu(o) is taken from
+    ``deterministic_action`` if the batch has it, and mu(o + e) of a recurrent policy then from
+    ``neighbour_action``. Writes ``loss_temporal`` and ``loss_spatial`` ``()``.
 
     Args:
         actor_network: the policy.
@@ -62,6 +63,7 @@ class CAPSLoss(LossModule):
     space), whose weights and sigma are not published.
     """
 
+    companion_key = "neighbour_action"
     actor_network: ProbabilisticActor
     out_keys = ["loss_temporal", "loss_spatial"]
 
@@ -96,6 +98,7 @@ class CAPSLoss(LossModule):
         self.temporal_coeff, self.spatial_coeff = temporal_coeff, spatial_coeff
         self.temporal_norm, self.spatial_norm = NORMS[temporal_norm], NORMS[spatial_norm]
         self.recurrent = bool(recurrent_keys(actor_network))
+        self._lends = any(isinstance(part, StackedGRU) for part in actor_network.modules())
         self.in_keys = list(actor_network.in_keys)
         if not self.recurrent:
             self.in_keys.append(("next", "observation"))
@@ -105,10 +108,38 @@ class CAPSLoss(LossModule):
         self.normalizer = normalizer_of(actor_network)
         self.sigma = _spread(sigma, spans or {})
 
+    def companions(self, tensordict: TensorDictBase) -> TensorDictBase | None:
+        """The neighbours, seen with the memory of each step, for their ``neighbour_action``.
+
+        ``None`` if they are asked here: without such a memory, or for draws.
+        """
+        if self.on_actions or not self._lends:
+            return None
+        near = tensordict.select(*self.actor_network.in_keys)
+        near["observation"] = self._neighbour(tensordict)
+        near["memory_of"] = torch.arange(len(near))[:, None].expand(near.shape)
+        return near
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Both losses of a batch."""
-        change = self._recurrent if self.recurrent else self._feed_forward
-        temporal, spatial = change(tensordict)
+        mu = None if self.on_actions else tensordict.get("deterministic_action", None)
+        if self.recurrent:
+            near = tensordict.get(self.companion_key, None)
+            if mu is None or near is None:
+                mu, near = self._sequences(tensordict)
+            follows = ~tensordict["is_init"][:, 1:, 0]
+            change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
+            temporal = change.sum() / follows.sum().clamp_min(1)
+        else:
+            seen = [tensordict["next", "observation"], self._neighbour(tensordict)]
+            seen += [tensordict["observation"]] if mu is None else []
+            together = torch.stack(seen)
+            after, near, *here = self._act(
+                TensorDict({"observation": together}, together.shape[:2])
+            )
+            mu = here[0] if mu is None else mu
+            temporal = self.temporal_norm(mu - after).mean()
+        spatial = self.spatial_norm(mu - near).mean()
         return TensorDict(
             {
                 "loss_temporal": self.temporal_coeff * temporal,
@@ -116,38 +147,18 @@ class CAPSLoss(LossModule):
             }
         )
 
-    def _feed_forward(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        seen = [batch["next", "observation"], self._neighbour(batch)]
-        here = self._known(batch)
-        if here is None:
-            seen.append(batch["observation"])
-        together = torch.stack(seen)
-        mu = self._act(TensorDict({"observation": together}, together.shape[:2]))
-        here = mu[2] if here is None else here
-        temporal = self.temporal_norm(here - mu[0]).mean()
-        return temporal, self.spatial_norm(here - mu[1]).mean()
-
-    def _recurrent(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+    def _sequences(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """mu of the batch, and of neighbours with the same memory, each ``(N, T, J)``."""
         (hidden,) = recurrent_keys(self.actor_network)
         seen = batch.select(*self.actor_network.in_keys)
-        mu, after = self._known(batch), batch.get(("next", hidden), None)
-        if mu is None or after is None:
-            with set_recurrent_mode(True):
-                mu = self._act(seen)
-            after = seen["next", hidden]
-        follows = ~batch["is_init"][:, 1:, 0]
-        change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
-        near = seen.select(*self.actor_network.in_keys)
+        near = seen.copy()
+        with set_recurrent_mode(True):
+            mu = self._act(seen)
         near["observation"] = self._neighbour(batch)
-        near[hidden] = torch.cat([seen[hidden][:, :1], after[:, :-1]], 1)  # before each step
+        # Before each step:
+        near[hidden] = torch.cat([seen[hidden][:, :1], seen["next", hidden][:, :-1]], 1)
         with set_recurrent_mode(False):
-            mu_near = self._act(near.reshape(-1))
-        spatial = self.spatial_norm(mu.flatten(0, 1) - mu_near).mean()
-        return change.sum() / follows.sum().clamp_min(1), spatial
-
-    def _known(self, batch: TensorDictBase) -> Tensor | None:
-        """mu at every step, if somebody has run the policy already."""
-        return None if self.on_actions else batch.get("deterministic_action", None)
+            return mu, self._act(near.reshape(-1)).view_as(mu)
 
     def _act(self, batch: TensorDictBase) -> Tensor:
         """mu; the batch then holds all that the policy wrote."""

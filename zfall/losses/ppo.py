@@ -1,5 +1,6 @@
 """Proximal policy optimisation with what RLlib's has beside the clipping."""
 
+from collections.abc import Iterable
 from contextlib import nullcontext
 from typing import Any
 
@@ -7,8 +8,6 @@ import torch
 from tensordict import NestedKey, TensorDictBase, TensorDictParams
 from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
-
-from zfall.modules.actors import recurrent_keys
 
 
 class PenalizedPPOLoss(ClipPPOLoss):
@@ -33,11 +32,12 @@ class PenalizedPPOLoss(ClipPPOLoss):
     buffer, the only state beside the networks.
 
     Without the three it is ``ClipPPOLoss``. ``distribution`` is that of the actions in the last
-    batch, and ``memory`` ``(N, T, layers, H)`` that of a recurrent actor after each step, by its
-    key, both with their graph, so that losses beside this one need not run the actor again. What
-    they want to know of other states they put into ``beside``, inputs of the actor ``(M, ...)`` or
+    batch, with its graph, so that losses beside this one need not run the actor again. What they
+    want to know of other states they put into ``beside``, inputs of the actor, each ``(M, ...)`` or
     ``(M, T, ...)``: it goes through them along with the next batch, as a recurrent one takes nearly
-    as long for a few sequences as for many, and ``distribution_beside`` is that of its actions.
+    as long for a few sequences as for many, and ``distribution_beside`` is that of its actions, in
+    their order. Sequences may name others of the batch by ``memory_of``, see ``StackedGRU``, if
+    they come last.
 
     Keys: as ``ClipPPOLoss``; also writes ``kl`` ``()``, the mean of ``r - 1 - log r``, and with a
     penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says which samples are ``mirrored``
@@ -95,8 +95,7 @@ class PenalizedPPOLoss(ClipPPOLoss):
             self.out_keys += ["loss_kl", "kl_coeff"]
         self._log_ratio: Any = None
         self.distribution: Any = None
-        self.memory: dict[NestedKey, Tensor] = {}
-        self.beside: TensorDictBase | None = None
+        self.beside: list[TensorDictBase] = []
         self.distribution_beside: Any = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -144,26 +143,27 @@ class PenalizedPPOLoss(ClipPPOLoss):
     def _get_cur_log_prob(
         self, tensordict: TensorDictBase, params: TensorDictParams | None = None
     ) -> tuple[Tensor, Any, bool]:
-        beside, self.beside = self.beside, None
+        beside, self.beside = self.beside, []
+        if not beside:
+            return super()._get_cur_log_prob(tensordict, params)
         actor, rows = self.actor_network, len(tensordict)
-        memories: list[NestedKey] = [("next", key) for key in recurrent_keys(actor)]
-        result: tuple[Tensor, Any, bool]
-        if beside is None:
-            result = super()._get_cur_log_prob(tensordict, params)
-        else:
-            inputs = [batch.select(*actor.in_keys) for batch in (tensordict, beside)]
-            weights = self.actor_network_params if params is None else params
-            with (
-                weights.to_module(actor, preserve_module_state=False)
-                if self.functional
-                else nullcontext()
-            ):
-                found = actor.get_dist_params(torch.cat(inputs))
-                distribution = actor.build_dist_from_params(found[:rows])
-                self.distribution_beside = actor.build_dist_from_params(found[rows:])
-            for key in memories:
-                tensordict[key] = found[key][:rows]
-            result = distribution.log_prob(tensordict[self.tensor_keys.action]), distribution, False
-        if params is None:  # else they are a target's
-            self.memory = {key: tensordict[key] for key in memories}
-        return result
+        inputs = _together([tensordict, *beside], actor.in_keys)
+        weights = self.actor_network_params if params is None else params
+        with (
+            weights.to_module(actor, preserve_module_state=False)
+            if self.functional
+            else nullcontext()
+        ):
+            found = actor.get_dist_params(inputs)
+            distribution = actor.build_dist_from_params(found[:rows])
+            self.distribution_beside = actor.build_dist_from_params(found[rows:])
+        return distribution.log_prob(tensordict[self.tensor_keys.action]), distribution, False
+
+
+def _together(batches: Iterable[TensorDictBase], keys: Iterable[NestedKey]) -> TensorDictBase:
+    """Their inputs of the actor in one; all name whose memory they have, if one does."""
+    inputs = [batch.select(*keys, "memory_of", strict=False) for batch in batches]
+    if any("memory_of" in part.keys() for part in inputs):
+        for part in inputs:
+            part.setdefault("memory_of", torch.full(part.shape, -1))
+    return torch.cat(inputs)

@@ -22,6 +22,8 @@ class StackedGRU(GRUModule):
     Keys: reads ``in_key`` ``(*B, size)``, the hidden state ``(*B, num_layers, size)``, of a
     sequence that at its first step, and ``is_init`` ``(*B, 1)``, where it is 0 instead; writes
     ``out_key`` ``(*B, size)`` and, under ``("next", hidden)``, the hidden state after each step.
+    Of sequences also ``memory_of`` ``(*B,)`` int, if it is there: the last of them may name another
+    one, and are then seen step by step with its memory in the place of their own; -1 for their own.
 
     Args:
         size: width of input and layers.
@@ -57,14 +59,18 @@ class StackedGRU(GRUModule):
         return tensordict
 
     def _sequences(self, tensordict: TensorDictBase) -> TensorDictBase:
-        rows = tensordict.select(*self.in_keys).reshape(-1, tensordict.shape[-1])
+        keys = [*self.in_keys, "memory_of"]
+        rows = tensordict.select(*keys, strict=False).reshape(-1, tensordict.shape[-1])
         value, memories, begins = (rows[key] for key in self.in_keys)
-        goes_on = (~begins).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
-        memories = torch.where(begins[:, 0, :, None], 0.0, memories[:, 0])
+        lenders = rows.get("memory_of", torch.full((1, 1), -1))[:, 0]
+        lenders = lenders[lenders >= 0]
+        own = len(rows) - len(lenders)
+        goes_on = (~begins[:own]).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
+        memories = torch.where(begins[:own, 0, :, None], 0.0, memories[:own, 0])
         memories = memories.transpose(0, 1).contiguous()
         layer, states = value.transpose(0, 1).contiguous(), []
         for memory, weights in zip(memories, self.gru.all_weights, strict=True):
-            layer = _Layer.apply(layer, memory, goes_on, *weights)
+            layer = _Layer.apply(layer, memory, goes_on, lenders, *weights)
             states.append(layer.transpose(0, 1))
         tensordict[self.out_keys[0]] = states[-1].reshape(*tensordict.shape, self.gru.hidden_size)
         after = torch.stack(states, 2)
@@ -77,9 +83,10 @@ class _Layer(torch.autograd.Function):
 
         r, z = sigmoid(W x + b + U h + c),   n = tanh(W x + b + r (U h + c)),   h' = n + z (h - n)
 
-    ``inputs`` ``(T, N, D)``, ``memory`` ``(N, H)`` before the first step, ``goes_on``
-    ``(T, N, 1)``, 0 where a later step begins with h = 0, else 1; -> the hidden state after each
-    step ``(T, N, H)``. What does not depend on the step before is done for all steps at once,
+    ``inputs`` ``(T, N + M, D)``, ``memory`` ``(N, H)`` before the first step, ``goes_on``
+    ``(T, N, 1)``, 0 where a later step begins with h = 0, else 1, ``lenders`` ``(M,)`` int, from
+    whose h the last M rows get their h', which nobody goes on from; -> the hidden state after each
+    step ``(T, N + M, H)``. What does not depend on the step before is done for all steps at once,
     forwards and backwards. The memory gets no gradient.
     """
 
@@ -89,39 +96,46 @@ class _Layer(torch.autograd.Function):
         inputs: Tensor,
         memory: Tensor,
         goes_on: Tensor,
+        lenders: Tensor,
         weight_in: Tensor,
         weight: Tensor,
         bias_in: Tensor,
         bias: Tensor,
     ) -> Tensor:
-        size = weight.shape[1]
-        gates = nn.functional.linear(inputs, weight_in, bias_in)  # (T, N, 3 H): r, z, n
+        size, own = weight.shape[1], len(memory)
+        gates = nn.functional.linear(inputs, weight_in, bias_in)  # (T, N + M, 3 H): r, z, n
         recalled = torch.empty_like(gates)  # U h + c
         states = inputs.new_empty(*inputs.shape[:2], size)
+        before = torch.empty_like(states)  # h
+        before[0, :own] = memory
         both, new = gates.split([2 * size, size], 2)
         of_both, of_new = recalled.split([2 * size, size], 2)
-        parts = (both, *both.chunk(2, 2), new, recalled, of_both, of_new, states, goes_on)
+        parts = (both, *both.chunk(2, 2), new, recalled, of_both, of_new, before, states)
         # Views of all steps at once: one by one they take as long as the arithmetic of a step.
-        steps = zip(*(part.unbind() for part in parts), strict=True)
-        before, columns = memory, weight.t()
-        for t, (both, reset, keep, new, recall, of_both, of_new, state, on) in enumerate(steps):
+        steps = zip(*(part[:, :own].unbind() for part in parts), goes_on.unbind(), strict=True)
+        last, columns = memory, weight.t()
+        for t, (both, reset, keep, new, recall, of_both, of_new, h, state, on) in enumerate(steps):
             if t:
-                before = before * on
-            torch.addmm(bias, before, columns, out=recall)
+                torch.mul(last, on, out=h)
+            torch.addmm(bias, h, columns, out=recall)
             both.add_(of_both).sigmoid_()
             new.addcmul_(reset, of_new).tanh_()
-            before = torch.lerp(new, before, keep, out=state)
-        ctx.save_for_backward(inputs, memory, goes_on, weight_in, weight, gates, recalled, states)
+            last = torch.lerp(new, h, keep, out=state)
+        if len(lenders):
+            for part in (recalled, before):
+                part[:, own:] = part[:, lenders]
+            both, reset, keep, new, _, of_both, of_new, h, state = (x[:, own:] for x in parts)
+            both.add_(of_both).sigmoid_()
+            new.addcmul_(reset, of_new).tanh_()
+            torch.lerp(new, h, keep, out=state)
+        ctx.save_for_backward(inputs, goes_on, lenders, weight_in, weight, gates, recalled, before)
         return states
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, memory, goes_on, weight_in, weight, gates, recalled, states = ctx.saved_tensors
-        size = weight.shape[1]
-        before = torch.empty_like(states)
-        before[0] = memory
-        torch.mul(states[:-1], goes_on[1:], out=before[1:])
+        inputs, goes_on, lenders, weight_in, weight, gates, recalled, before = ctx.saved_tensors
+        size, own = weight.shape[1], goes_on.shape[1]
         reset, keep, new = gates.split(size, 2)
         # By how much a state moves with the arguments of r and z, and with what n recalls.
         slopes = torch.empty_like(gates)
@@ -131,11 +145,21 @@ class _Layer(torch.autograd.Function):
         torch.mul(of_recall, 1 - reset, out=of_reset).mul_(recalled[..., 2 * size :])
         torch.mul(before - new, keep, out=of_keep).mul_(1 - keep)
         grads = grad.clone(memory_format=torch.contiguous_format)  # by the states, in the end
-        by_recalled, passed = torch.empty_like(slopes), torch.empty_like(memory)
-        parts = (grads, keep * goes_on, goes_on, by_recalled, *slopes.split(size, 2))
-        steps = list(zip(*(x.unbind() for x in (*parts, *by_recalled.split(size, 2))), strict=True))
+        by_recalled = torch.empty_like(slopes)
+        if len(lenders):
+            borrowed = grads[:, own:]
+            by_borrowed = by_recalled[:, own:]
+            torch.mul(borrowed.repeat(1, 1, 3), slopes[:, own:], out=by_borrowed)
+            by_memory = (by_borrowed @ weight).addcmul_(borrowed, keep[:, own:])
+            by_memory = by_memory[1:] * goes_on[1:, lenders]
+            grads[:-1].index_add_(1, lenders, by_memory)
+        passed = before.new_empty(own, size)
+        owned = (grads, *slopes.split(size, 2), by_recalled, *by_recalled.split(size, 2))
+        parts = [part[:, :own] for part in owned]
+        parts += [keep[:, :own] * goes_on, goes_on]
+        steps = list(zip(*(part.unbind() for part in parts), strict=True))
         for step, earlier in zip(reversed(steps), [*reversed(steps[:-1]), None], strict=True):
-            here, kept, on, by, of_reset, of_keep, of_recall, by_reset, by_keep, by_recall = step
+            here, of_reset, of_keep, of_recall, by, by_reset, by_keep, by_recall, kept, on = step
             # Gate by gate: all at once are so large that a second thread is asked, and waited for.
             torch.mul(here, of_reset, out=by_reset)
             torch.mul(here, of_keep, out=by_keep)
@@ -143,10 +167,11 @@ class _Layer(torch.autograd.Function):
             if earlier is not None:
                 torch.mm(by, weight, out=passed)
                 earlier[0].addcmul_(here, kept).addcmul_(passed, on)
-        rows = by_recalled.flatten(0, 1)  # (T N, 3 H)
+        rows = by_recalled.flatten(0, 1)  # (T (N + M), 3 H)
         grad_weight, grad_bias = rows.t() @ before.flatten(0, 1), rows.sum(0)
         # From here on rows are by W x + b, which differs in n: r does not scale it.
         torch.mul(grads, of_new, out=by_recalled[..., 2 * size :])
         grad_weight_in, grad_bias_in = rows.t() @ inputs.flatten(0, 1), rows.sum(0)
         grad_inputs = (rows @ weight_in).view_as(inputs)
-        return grad_inputs, None, None, grad_weight_in, grad_weight, grad_bias_in, grad_bias
+        weights = (grad_weight_in, grad_weight, grad_bias_in, grad_bias)
+        return grad_inputs, None, None, None, *weights
