@@ -199,9 +199,16 @@ class Learner:
                     part = burnt_in(part, self._remembering, cfg.burn_in)
                 out, some, actions = self._ppo(part)
                 for auxiliary in self.auxiliary:
+                    seen = some
                     if auxiliary in actions:
-                        some[auxiliary.companion_key] = actions[auxiliary]
-                    written = auxiliary(some)
+                        seen = some.copy().set(auxiliary.companion_key, actions[auxiliary])
+                    written = auxiliary(seen)
+                    twice = [key for key in written.keys() if key in out.keys()]
+                    if twice:
+                        raise ValueError(
+                            f"{type(auxiliary).__name__} must write what no other loss has, "
+                            f"{twice[0]} is there: of two of a kind the first would not be learned."
+                        )
                     if not any(key.startswith("loss_") for key in written.keys()):
                         raise ValueError(
                             f"{type(auxiliary).__name__} must write a loss under a name that "
@@ -243,13 +250,10 @@ class Learner:
         loss = self.loss
         rows = max(1, round(self.cfg.auxiliary_share * len(part)))
         some = part[:rows]  # the order is random
-        asked = {}
-        for auxiliary in self.auxiliary if self._answers else ():
-            if hasattr(auxiliary, "companions"):
-                asked[auxiliary] = auxiliary.companions(some)
-        # Those that are seen with the memory of others come last.
-        asking = [x for x in asked if asked[x] is not None]
-        asking.sort(key=lambda x: "memory_of" in asked[x].keys())
+        asking = [x for x in self.auxiliary if self._answers and hasattr(x, "companions")]
+        asked = {x: x.companions(some) for x in asking}
+        asking = [x for x in asking if asked[x] is not None]
+        asking.sort(key=lambda x: "memory_of" in asked[x].keys())  # these have to come last
         loss.beside = [asked[x] for x in asking]
         out = loss(part)
         distribution, loss.distribution = loss.distribution, None

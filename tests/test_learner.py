@@ -493,6 +493,13 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
 
 
+def test_two_losses_of_the_same_name_are_refused(compose_config):
+    second = "+auxiliary_losses.again={_target_: zfall.losses.caps.CAPSLoss, on_actions: true}"
+    learner = Learner(compose_config("num_envs=4", "rollout_steps=4", "caps=atalante", second))
+    with pytest.raises(ValueError, match="CAPSLoss must write what no other loss has, loss_temp"):
+        learner.learn(learner.collect())
+
+
 def gru_of_torchrl(observation_spec, action_spec):
     """Its module, which takes the memory that is stored where an episode begins in a sequence."""
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
@@ -521,7 +528,9 @@ def test_a_recurrent_actor_made_of_torchrls_module_replays_what_it_did(compose_c
         means = learner.learn(batch)
     assert batch["is_init"][:, 1:].any()
     assert abs(means["kl"]) < 1e-6
-    assert means["loss_spatial"] > 0  # asked by CAPS itself: it lends no memory
+    (caps,) = learner.auxiliary
+    assert caps.companions(batch) is None  # that module lends no memory: CAPS asks it by itself
+    assert means["loss_spatial"] > 0
 
 
 class LossWithItsOwnPass(PenalizedPPOLoss):

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
-from torchrl.modules import IndependentNormal, ProbabilisticActor
+from torchrl.modules import IndependentNormal, ProbabilisticActor, set_recurrent_mode
 
 from zfall.losses.caps import CAPSLoss
 from zfall.modules.actors import gru_actor, mlp_actor
@@ -151,6 +151,22 @@ def test_both_of_a_spatial_pair_of_a_recurrent_policy_have_the_same_memory(recur
             step["observation"] = step["observation"] + 0.3
             moved.append((actor.get_dist(step).mean[0] - batch["mean"][n, t]).square().sum())
     assert_close(loss, torch.stack(moved).mean(), rtol=1e-4, atol=0)
+
+
+def test_companions_in_one_pass_with_the_batch_are_what_it_finds_by_itself(recurrent, monkeypatch):
+    actor, batch = recurrent
+    batch = batch.exclude("mean")
+    caps = CAPSLoss(actor, spatial_coeff=1.0)
+    monkeypatch.setattr(caps, "_neighbour", lambda steps: steps["observation"] + 0.3)
+    expected = caps(batch.copy())
+    near = caps.companions(batch)
+    own = batch.select(*actor.in_keys).set("memory_of", torch.full(batch.shape, -1))
+    with set_recurrent_mode(True):
+        means = actor.get_dist(torch.cat([own, near])).mean
+    batch["deterministic_action"], batch["neighbour_action"] = means.chunk(2)
+    monkeypatch.setattr(caps, "_act", None)  # it need not ask any more
+    assert expected["loss_spatial"] > 1e-3
+    assert_close(caps(batch), expected, rtol=1e-4, atol=1e-7)
 
 
 def test_the_gradient_of_a_recurrent_policy_goes_through_the_memory_of_all(recurrent, monkeypatch):

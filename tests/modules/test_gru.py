@@ -92,13 +92,29 @@ def test_sequences_that_name_another_are_seen_with_its_memory(module, batch):
     results = []
     for function in (ours, theirs):
         module.zero_grad()
+        batch["features"] = batch["features"].detach().clone().requires_grad_()
         given = seen.clone().requires_grad_()
         out = function(given)
         (out * weight).sum().backward()
-        results.append([out, given.grad, *(p.grad.clone() for p in module.parameters())])
+        gradients = [p.grad.clone() for p in module.parameters()]
+        results.append([out, given.grad, batch["features"].grad, *gradients])
     for found, expected in zip(*results, strict=True):
         assert expected.abs().max() > 0.05
         assert_close(found, expected, atol=1e-12, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "named", [[-1, -1, -1, -1, -1, 5], [-1, -1, -1, 1, -1, -1], [-1, -1, -1, -1, -1, 9]]
+)
+def test_a_memory_that_nobody_has_is_refused(module, batch, named):
+    """One's own, that of one behind, and one that is not there; or another at each step."""
+    batch["memory_of"] = torch.tensor(named)[:, None].expand(batch.shape)
+    with set_recurrent_mode(True), pytest.raises(ValueError, match="memory_of must be the same"):
+        module(batch)
+    batch["memory_of"] = torch.full(batch.shape, -1)
+    batch["memory_of"][-1] = torch.arange(STEPS) % 2
+    with set_recurrent_mode(True), pytest.raises(ValueError, match="memory_of must be the same"):
+        module(batch)
 
 
 @pytest.mark.parametrize("shape", [(STEPS,), (2, 3, STEPS)])

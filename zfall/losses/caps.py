@@ -38,7 +38,7 @@ class CAPSLoss(LossModule):
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)``, and ``("next", "observation")`` of a policy
     without memory; ``(N, T, ...)`` of a recurrent one. mu(o) is taken from
-    ``deterministic_action`` if the batch has it, and mu(o + e) of a recurrent policy then from
+    ``deterministic_action`` if the batch has it, of a recurrent policy if it has mu(o + e) too,
     ``neighbour_action``. Writes ``loss_temporal`` and ``loss_spatial`` ``()``.
 
     Args:
@@ -98,7 +98,9 @@ class CAPSLoss(LossModule):
         self.temporal_coeff, self.spatial_coeff = temporal_coeff, spatial_coeff
         self.temporal_norm, self.spatial_norm = NORMS[temporal_norm], NORMS[spatial_norm]
         self.recurrent = bool(recurrent_keys(actor_network))
-        self._lends = any(isinstance(part, StackedGRU) for part in actor_network.modules())
+        # Sequences may name whose memory they have, if all memory that the actor has is ours.
+        grus = (part for part in actor_network.modules() if isinstance(part, StackedGRU))
+        self._actor_lends = [gru.in_keys[1] for gru in grus] == recurrent_keys(actor_network) != []
         self.in_keys = list(actor_network.in_keys)
         if not self.recurrent:
             self.in_keys.append(("next", "observation"))
@@ -113,7 +115,7 @@ class CAPSLoss(LossModule):
 
         ``None`` if they are asked here: without such a memory, or for draws.
         """
-        if self.on_actions or not self._lends:
+        if self.on_actions or not self._actor_lends:
             return None
         near = tensordict.select(*self.actor_network.in_keys)
         near["observation"] = self._neighbour(tensordict)

@@ -1,6 +1,6 @@
 """Proximal policy optimisation with what RLlib's has beside the clipping."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -160,10 +160,11 @@ class PenalizedPPOLoss(ClipPPOLoss):
         return distribution.log_prob(tensordict[self.tensor_keys.action]), distribution, False
 
 
-def _together(batches: Iterable[TensorDictBase], keys: Iterable[NestedKey]) -> TensorDictBase:
+def _together(batches: Sequence[TensorDictBase], keys: Iterable[NestedKey]) -> TensorDictBase:
     """Their inputs of the actor in one; all name whose memory they have, if one does."""
-    inputs = [batch.select(*keys, "memory_of", strict=False) for batch in batches]
-    if any("memory_of" in part.keys() for part in inputs):
-        for part in inputs:
-            part.setdefault("memory_of", torch.full(part.shape, -1))
+    inputs = [batch.select(*keys) for batch in batches]
+    named = [batch.get("memory_of", None) for batch in batches]
+    if any(names is not None for names in named):
+        for part, names in zip(inputs, named, strict=True):
+            part["memory_of"] = torch.full(part.shape, -1) if names is None else names
     return torch.cat(inputs)

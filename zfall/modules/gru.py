@@ -25,8 +25,9 @@ class StackedGRU(GRUModule):
     Keys: reads ``in_key`` ``(*B, size)``, the hidden state ``(*B, num_layers, size)``, of a
     sequence that at its first step, and ``is_init`` ``(*B, 1)``, where it is 0 instead; writes
     ``out_key`` ``(*B, size)`` and, under ``("next", hidden)``, the hidden state after each step.
-    Of sequences also ``memory_of`` ``(*B,)`` int, if it is there: the last of them may name another
-    one, and are then seen step by step with its memory in the place of their own; -1 for their own.
+    Of sequences also ``memory_of`` ``(*B,)`` int, if it is there: the last ones may name another of
+    them, the same at all steps, and are then seen step by step with its memory in the place of
+    their own; -1 for their own.
 
     Args:
         size: width of input and layers.
@@ -62,12 +63,12 @@ class StackedGRU(GRUModule):
         return tensordict
 
     def _sequences(self, tensordict: TensorDictBase) -> TensorDictBase:
-        keys = [*self.in_keys, "memory_of"]
-        rows = tensordict.select(*keys, strict=False).reshape(-1, tensordict.shape[-1])
+        keys = [key for key in (*self.in_keys, "memory_of") if key in tensordict.keys()]
+        rows = tensordict.select(*keys).reshape(-1, tensordict.shape[-1])
         value, memories, begins = (rows[key] for key in self.in_keys)
-        lenders = rows.get("memory_of", torch.full((1, 1), -1))[:, 0]
-        lenders = lenders[lenders >= 0]
-        own = len(rows) - len(lenders)
+        own, lenders = len(rows), torch.empty(0, dtype=torch.int64)
+        if "memory_of" in keys:
+            own, lenders = _lenders(rows["memory_of"])
         goes_on = (~begins[:own]).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
         memories = torch.where(begins[:own, 0, :, None], 0.0, memories[:own, 0])
         memories = memories.transpose(0, 1).contiguous()
@@ -79,6 +80,20 @@ class StackedGRU(GRUModule):
         after = torch.stack(states, 2)
         tensordict[self.out_keys[1]] = after.reshape(*tensordict.shape, *after.shape[2:])
         return tensordict
+
+
+def _lenders(memory_of: Tensor) -> tuple[int, Tensor]:
+    """How many sequences have a memory of their own, and whose the others have ``(M,)``."""
+    named = memory_of[:, 0]
+    own = int((named < 0).sum())
+    lenders = named[own:]
+    same = (memory_of == named[:, None]).all()
+    if not (same and (lenders >= 0).all() and (lenders < own).all()):
+        raise ValueError(
+            "memory_of must be the same at all steps, -1 in front, and then, of the last sequences, "
+            f"one of the {own} in front, got {named.tolist()} at the first step."
+        )
+    return own, lenders
 
 
 class _Layer(torch.autograd.Function):
