@@ -90,8 +90,8 @@ def _lenders(memory_of: Tensor) -> tuple[int, Tensor]:
     same = (memory_of == named[:, None]).all()
     if not (same and (lenders >= 0).all() and (lenders < own).all()):
         raise ValueError(
-            "memory_of must be the same at all steps, -1 in front, and then, of the last sequences, "
-            f"one of the {own} in front, got {named.tolist()} at the first step."
+            "memory_of must be the same at all steps, -1 in front, and of the last sequences one "
+            f"of the {own} in front, got {named.tolist()} at the first step."
         )
     return own, lenders
 
