@@ -66,6 +66,22 @@ def check_reads(modules: Mapping[str, Any], given: Iterable[Any]) -> None:
                 raise ValueError(f"{place} must read what env or networks give, not {key}.")
 
 
+def check_writes(losses: Mapping[str, Any]) -> None:
+    """Refuses losses, by their place, that write one name twice: the first would not be learned.
+
+    Raises:
+        ValueError: naming both and what they write.
+    """
+    writes: dict[str, str] = {}
+    for place, loss in losses.items():
+        for key in getattr(loss, "out_keys", ()):
+            if writes.setdefault(key, place) != place:
+                raise ValueError(
+                    f"{place} must write under names of its own (out_keys), {key} is written by "
+                    f"{writes[key]} already: take one of the two out."
+                )
+
+
 def check_parameters(module: Any, place: str, trained: Iterable[torch.nn.Parameter]) -> None:
     """Refuses parameters that nothing would train or save.
 

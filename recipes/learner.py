@@ -14,7 +14,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives.value import GAE
 
-from recipes.auxiliary import buffers_of, build, check_parameters, check_reads
+from recipes.auxiliary import buffers_of, build, check_parameters, check_reads, check_writes
 from recipes.averaging import moving_average
 from recipes.objective import ppo_loss
 from recipes.ranges import check_finite, check_ranges, check_task
@@ -101,6 +101,7 @@ class Learner:
         }
         for place, module in {"loss": self.loss, **reading}.items():
             check_parameters(module, place, self.parameters)
+        check_writes({"loss": self.loss, **reading})
         kind, optimizer = instantiate(cfg.optimizer, _partial_=True).func, dict(cfg.optimizer)
         known = inspect.signature(kind).parameters.values()
         if not any(value.name == "fused" or value.kind is value.VAR_KEYWORD for value in known):
@@ -203,12 +204,6 @@ class Learner:
                     if auxiliary in actions:
                         seen = some.copy().set(auxiliary.companion_key, actions[auxiliary])
                     written = auxiliary(seen)
-                    twice = [key for key in written.keys() if key in out.keys()]
-                    if twice:
-                        raise ValueError(
-                            f"{type(auxiliary).__name__} must write what no other loss has, "
-                            f"{twice[0]} is there: of two of a kind the first would not be learned."
-                        )
                     if not any(key.startswith("loss_") for key in written.keys()):
                         raise ValueError(
                             f"{type(auxiliary).__name__} must write a loss under a name that "

@@ -7,7 +7,7 @@ import torch
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, open_dict
 
-from recipes.one_line import check_keys
+from recipes.one_line import check_keys, not_found
 from zfall.losses.ppo import PenalizedPPOLoss
 
 LOSS_KEYS = {
@@ -102,6 +102,4 @@ def target_of(config: Any, place: str) -> Any:
         return found
     except (ImportError, ValueError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
-        raise ValueError(
-            f"{place}._target_ must name something that Python can import, got {target}: {reason}."
-        ) from None
+        raise ValueError(f"{place}._target_ {not_found(target, reason)}") from None

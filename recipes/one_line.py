@@ -132,12 +132,18 @@ def _innermost(error: BaseException) -> str:
     elif called := _CALLED.fullmatch(reason):
         reason = f"{called[1]} is called in every step: beside its _target_ say _partial_: true."
     elif absent := _NOT_LOADED.fullmatch(reason):
-        reason = (
-            f"_target_ must name something that Python can import, got {absent[1]}: {absent[2]}."
-        )
+        reason = f"_target_ {not_found(*absent.groups())}"
     elif place and _OTHER_KIND.fullmatch(reason):
         reason = f"a value may be of another kind than it takes: {reason}."
     return f"{place}: {reason}" if place else reason
+
+
+def not_found(target: str, reason: str) -> str:
+    """Rule, value and reason for a dotted path that leads nowhere."""
+    module, _, name = target.rpartition(".")
+    if reason.endswith(f"'{module}' is not a package"):  # Python looked for one to go on in
+        reason = f"{module} has no {name}"
+    return f"must name something that Python can import, got {target}: {reason}."
 
 
 def _flat(text: str) -> str:

@@ -75,7 +75,7 @@ def test_keys_of_the_class_go_to_it(compose_config):
 
 
 FAULTS = [
-    ([HERE + "Nothing"], "loss._target_ must name something that Python can import, got tests."),
+    ([HERE + "Nothing"], "loss._target_ must name something that Python can .* has no Nothing"),
     (["+loss._target_=torch"], "loss._target_ must name .* got torch: it cannot be called"),
     (["+loss._target_=null"], "loss._target_ must be the dotted path of a class, got None"),
     (["+loss._target_=torchrl.objectives.ClipPPOLoss"],

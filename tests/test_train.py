@@ -88,6 +88,7 @@ BAD = [
     (["env.transforms.push.size=0.3"], "size must be two finite numbers, got 0.3; [0.3, 0.3] for"),
     (["env.transforms.delay=7"], "transforms.delay must be a table with a _target_, or null, got"),
     (["+env.transforms.x={_target_: no.X}"], "that Python can import, got no.X: No module named"),
+    (["+env.transforms.x={_target_: tests.shell.X}"], "got tests.shell.X: tests.shell has no X."),
     (
         ["+env.transforms.reward.terms.y=[0.1,{_target_:tests.test_train.row}]"],
         "row is called in every step: beside its _target_ say _partial_: true.",
