@@ -8,7 +8,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
 from zfall.envs.robots import ZEROTH01
-from zfall.evaluation.pendulum import references
+from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import (
     learning_bands,
     learning_curves,
@@ -56,6 +56,20 @@ def test_success_map_is_drawn_beside_a_baseline(tmp_path, monkeypatch):
     lines = {line.get_label(): line for line in drawn[0].axes[0].lines}
     assert np.asarray(lines["I50"].get_ydata()) == pytest.approx(0.2)
     assert np.asarray(lines["I50 of pose_hold"].get_ydata()) == pytest.approx(0.3)
+
+
+def test_a_reference_beyond_the_map_is_not_named(tmp_path, monkeypatch):
+    """Sizes up to 0.4 end at 0.45: one line crosses that, another does not come near."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
+    trials = pd.DataFrame(
+        [{"direction_rad": d, "impulse": i, "recovered": i < 0.3} for d in (0.0, 1.0) for i in (0.0, 0.1, 0.2, 0.3, 0.4)]
+    )  # fmt: skip
+    angle = np.linspace(0, 2 * np.pi, 20)
+    lines = [Reference("in", angle, np.linspace(0.4, 2, 20)), Reference("out", angle, angle + 0.5)]
+    success_map(trials, tmp_path / "map.png", title="test", lines=lines)
+    names = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
+    assert names == ["I50", "in"]
 
 
 def test_learning_curves_are_drawn(tmp_path):

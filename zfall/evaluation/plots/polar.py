@@ -69,7 +69,7 @@ def success_map(
     known = max([0.0, *(float(line.impulse.max()) for line in lines)]) + step
     title = textwrap.fill(title, TITLE, break_on_hyphens=False)
     reach = min(edges[-1], max(withstood + 2.5 * step, known))
-    _draw_references(axes, lines, "white", rim=True)
+    _draw_references(axes, lines, "white", rim=True, reach=reach)
     axes.set_ylim(0, reach)
     if withstood + step < impulses[-1]:  # the rest of the map would be empty
         first, last = f"{withstood + step:.1f}", f"{impulses[-1]:.1f}"
@@ -79,12 +79,15 @@ def success_map(
         [0, 45, 90, 135, 180, 225, 270, 315],
         ["forward", "", "left", "", "backward", "", "right", ""],
     )
-    ticks = [tick for tick in (0.5, 1.0, 1.5, 2.0) if tick < reach]
+    apart = 0.5 if reach > 1.2 else 0.2
+    ticks = apart * np.arange(1, np.ceil(reach / apart))
     axes.set_yticks([])
     box = {"facecolor": "0.2", "edgecolor": "none", "pad": 1.0}  # reads on yellow and over lines
     for tick in ticks:
+        axes.plot(angles, np.full_like(angles, tick), color="0.2", lw=0.5)
         at = (np.deg2rad(22.5), tick)
-        axes.text(*at, f"I = {tick}", color="white", fontsize=7, ha="center", bbox=box, zorder=10)
+        axes.text(*at, f"I = {tick:.1f}", color="white", fontsize=6, ha="center", va="center",
+                  bbox=box, zorder=10)  # fmt: skip
     axes.set_title(title, fontsize=10)
     axes.legend(
         loc="upper center",
@@ -101,18 +104,25 @@ def success_map(
 
 
 def _draw_references(
-    axes: Any, lines: Sequence[Reference], color: str, *, rim: bool = False
+    axes: Any,
+    lines: Sequence[Reference],
+    color: str,
+    *,
+    rim: bool = False,
+    reach: float = np.inf,
 ) -> None:
-    """Adds thin lines, and crosses where a reference has but a few directions."""
+    """Adds thin lines, and crosses where a reference has but a few directions.
+
+    Those that lie wholly beyond ``reach`` are not named.
+    """
     rims = {"path_effects": [Stroke(linewidth=2.4, foreground="black"), Normal()]} if rim else {}
     styles = itertools.cycle(["-.", "--", (0, (1, 2)), "-"])
     for line, style in zip(lines, styles, strict=False):
+        name = line.name if line.impulse.min() < reach else None
         if len(line.angle) < 12:
-            axes.plot(line.angle, line.impulse, "x", color=color, ms=6, label=line.name, **rims)
+            axes.plot(line.angle, line.impulse, "x", color=color, ms=6, label=name, **rims)
         else:
-            axes.plot(
-                line.angle, line.impulse, color=color, lw=1, ls=style, label=line.name, **rims
-            )
+            axes.plot(line.angle, line.impulse, color=color, lw=1, ls=style, label=name, **rims)
 
 
 def _save(figure: Figure, path: Path, lines: Sequence[Reference] = ()) -> None:
