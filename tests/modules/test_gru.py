@@ -107,7 +107,7 @@ def test_sequences_that_name_another_are_seen_with_its_memory(module, batch):
     "named", [[-1, -1, -1, -1, -1, 5], [-1, -1, -1, 1, -1, -1], [-1, -1, -1, -1, -1, 9]]
 )
 def test_a_memory_that_nobody_has_is_refused(module, batch, named):
-    """One's own, that of one behind, and one that is not there; or another at each step."""
+    """One's own, borrowed in the midst, and one that is not there; or another at each step."""
     batch["memory_of"] = torch.tensor(named)[:, None].expand(batch.shape)
     with set_recurrent_mode(True), pytest.raises(ValueError, match="memory_of must be the same"):
         module(batch)
