@@ -9,7 +9,12 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
 
 
 @pytest.mark.parametrize(
-    "name", [*(name + end for name in PAPERS for end in ("", "_laptop")), "best_gru"]
+    "name",
+    [
+        *(name + end for name in PAPERS for end in ("", "_laptop")),
+        "best_gru",
+        "push_to_kneel_softly",
+    ],
 )
 def test_every_experiment_learns(name, tmp_path):
     """Its networks, loss and optimizer, on a small batch."""

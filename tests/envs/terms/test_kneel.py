@@ -42,6 +42,12 @@ def test_shocks_count_from_rest_on():
         assert term.item() == pytest.approx(value, abs=1e-3)
 
 
+def test_a_landing_is_hard_by_what_exceeds_the_free_acceleration():
+    td = TensorDict({"base_acceleration_peak": torch.tensor([[9.81], [90.0], [215.0]])}, [3])
+    term = kneel.hard_landing(td, td, free=90.0)
+    assert term.flatten().tolist() == [0.0, 0.0, 125.0]
+
+
 def test_turning_counts_in_all_axes():
     td = TensorDict({"base_angular_velocity": torch.tensor([[0.0, 1.2, -1.6]])}, batch_size=[1])
     term = kneel.low_angular_rate(td, td, sigma=2.0)

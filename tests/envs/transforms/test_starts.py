@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
+from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.motions import load_motions
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import rotate_inverse, tilt
@@ -249,6 +250,45 @@ def test_each_world_may_have_its_own_share_of_falls(make_base):
     start = falling._reset_env_preprocess(TensorDict(batch_size=[40]))["start"]
     fallen = start["base_linear_velocity"].norm(dim=-1) > 0
     assert torch.equal(fallen, falling.share > 0)
+
+
+def test_what_is_left_of_a_push_goes_on_and_moves_the_robot_by_its_impulse(make_task, tmp_path):
+    """Two worlds, of which one begins anew amid the push of the other."""
+    bank = tmp_path / "falls.npz"
+    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+        states = {key: file[key][:1].repeat(2, 0) for key in STATE_KEYS}
+    states["base_position"] += [0.0, 0.0, 1.0]  # in the air: the push alone changes the momentum
+    force, left = np.array([[30.0, -10.0, 0.0], [0.0] * 3], "f4"), np.array([[0.052], [0.0]], "f4")
+    np.savez(bank, push_force=force, push_left=left, **states)
+    values = {"bank": str(bank), "pushed": True}
+    env = make_task({**ACTION, "falling": (FallingStart, values)}, num_envs=64)
+    env.set_seed(0)
+    td = env.reset()
+    falling = next(t for t in env.transform if isinstance(t, FallingStart))
+    pushed = falling.left[:, 0] > 0
+    assert 10 < pushed.sum() < 54
+    impulse = torch.tensor([30.0, -10.0, 0.0]) * 0.052  # [N s]
+    still = torch.zeros(64, 20)
+    for seconds in (0.036, 0.052, 0.052):  # sensors are a physics step older
+        td = env.step(td.set("action", still))["next"]
+        momentum = td["linear_momentum"]
+        gained = momentum[pushed].mean(0) - momentum[~pushed].mean(0)
+        assert_close(gained, impulse * min(seconds / 0.052, 1.0), atol=0.05, rtol=0)  # a step: 0.13
+    begins = pushed.clone()
+    begins[pushed.nonzero()[0, 0]] = False  # all pushed worlds but one
+    state = falling.left.clone()
+    env.reset(td.set("_reset", begins[:, None]))
+    assert torch.equal(falling.left[~begins], state[~begins])
+    assert 0 < (falling.left > 0).sum() < begins.sum()
+
+
+def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):
+    bank = tmp_path / "falls.npz"
+    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+        np.savez(bank, **{key: file[key] for key in STATE_KEYS})
+    FallingStart(make_base(), bank=str(bank))
+    with pytest.raises(ValueError, match="lacks push_force"):
+        FallingStart(make_base(), bank=str(bank), pushed=True)
 
 
 def test_a_missing_bank_of_falls_is_refused(make_base):

@@ -88,6 +88,14 @@ def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: fl
     return torch.exp(-excess.square() / sigma**2)
 
 
+def hard_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
+    """By how much the largest acceleration of the base over the step exceeds ``free`` [m/s2].
+
+    Reads ``base_acceleration_peak`` ``(*B, 1)``, 9.81 at rest. Returns ``(*B, 1)``.
+    """
+    return (next_td["base_acceleration_peak"] - free).clamp_min(0.0)
+
+
 def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
     """High when the base does not turn: ``exp(-|omega|^2 / sigma^2)``.
 

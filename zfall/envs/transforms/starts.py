@@ -12,7 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import START_KEYS, STATE_KEYS, HumanoidEnv
 from zfall.envs.motions import load_motions
 from zfall.envs.rotations import rotate, turned
-from zfall.envs.transforms.values import per_world, two_numbers
+from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 
 
 class NoisyStart(Transform):
@@ -183,19 +183,31 @@ class FallingStart(Transform):
     """Starts episodes in the midst of falls, states recorded from a policy that was pushed.
 
     Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
-    others begin as what comes before it in the table says. ``python -m recipes.falls`` records;
-    what is left of a push at that moment does not go on.
+    others begin as what comes before it in the table says. ``python -m recipes.falls`` records.
 
     Args:
         env: the base env.
         bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
         share: of the episodes that begin in a fall.
+        pushed: whether what is left of a push at that moment goes on at the torso; the bank then
+            has ``push_force`` ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too.
 
     Raises:
-        ValueError: if the file is missing, or is of another robot, or the share is not in (0, 1].
+        ValueError: if the file is missing, is of another robot or lacks pushes that are to go on,
+            or the share is not in (0, 1].
     """
 
-    def __init__(self, env: HumanoidEnv, *, bank: str | None = None, share: float = 1.0):
+    force: Tensor
+    left: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        bank: str | None = None,
+        share: float = 1.0,
+        pushed: bool = False,
+    ):
         super().__init__()
         if not 0 < share <= 1:
             raise ValueError(f"share must lie in (0, 1], got {share}.")
@@ -203,11 +215,17 @@ class FallingStart(Transform):
         path = own if bank is None else Path(bank)
         if not path.is_file():
             raise ValueError(f"bank must be a file that recipes.falls wrote, there is no {path}.")
+        rest = ("push_force", "push_left") if pushed else ()
         with np.load(path) as file:
-            states = {key: torch.from_numpy(file[key]).float() for key in STATE_KEYS}
+            lacking = [key for key in (*STATE_KEYS, *rest) if key not in file]
+            if lacking:
+                raise ValueError(
+                    f"bank must be a file that recipes.falls wrote, {path} lacks {lacking[0]}."
+                )
+            states = {key: torch.from_numpy(file[key]).float() for key in (*STATE_KEYS, *rest)}
         if states["joint_position"].shape[1] != len(env.stand_position):
             raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
-        self.share, self.num_envs, self.rng = share, env.num_envs, env.rng
+        self.share, self.pushed, self.num_envs, self.rng = share, pushed, env.num_envs, env.rng
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
@@ -216,6 +234,11 @@ class FallingStart(Transform):
             "base_orientation": base[3:7],
             "joint_position": env.stand_position,
         }
+        self.torso, self.add_force = env.push_target("torso"), env.add_force
+        self.control_dt, self.physics_dt = env.control_dt, env.physics_dt
+        self.number = torch.arange(env.substeps)
+        self.register_buffer("force", torch.zeros(env.num_envs, 3))
+        self.register_buffer("left", torch.zeros(env.num_envs, 1))
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
@@ -223,13 +246,28 @@ class FallingStart(Transform):
         # All rows are drawn, so that the random stream does not depend on who fell.
         row = torch.randint(len(self.table), (self.num_envs,), generator=self.rng)
         falls = torch.rand(self.num_envs, 1, generator=self.rng) < per_world(self.share, 2)
-        values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
-        for name, value in zip(self.sizes, values, strict=True):
+        drawn = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
+        values = dict(zip(self.sizes, drawn, strict=True))
+        if self.pushed:
+            new = reset_rows(tensordict)[:, None]
+            for name in ("force", "left"):
+                value = torch.where(falls, values.pop(f"push_{name}"), 0.0)
+                setattr(self, name, torch.where(new, value, getattr(self, name)))
+        for name, value in values.items():
             there = tensordict.get(("start", name), None)
             if there is None:
                 there = self.stand.get(name, torch.zeros_like(value)).expand_as(value)
             tensordict["start", name] = torch.where(falls, value, there)
         return tensordict
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if not (self.left > 0).any():
+            return tensordict
+        rows = (self.left[:, 0] > 0).nonzero()[:, 0]
+        steps = (self.left[rows] / self.physics_dt).round()
+        acts = (self.number < steps)[..., None] * self.force[rows, None]
+        self.left = (self.left - self.control_dt).clamp_min(0.0)
+        return self.add_force(tensordict, self.torso, acts, rows)
 
 
 def _turn(states: dict[str, Tensor], angle: Tensor) -> None:

@@ -135,6 +135,23 @@ def test_the_stored_movements_catch_a_fall_of_their_heading(make_base, heading):
     assert td["base_linear_velocity"].norm() < 0.1
 
 
+def test_corrections_count_while_it_lands_and_fade_away(make_base, stored):
+    """A correction of 0.1 rad: whole to 0.16 s, gone at 0.32 s, by a line; begins anew."""
+    env = make_base(num_envs=1, control_dt=0.04)
+    reference = KneelReference(env, speed=1000.0, catches=stored, landing=0.16)
+    stand = env.stand_position[None]
+    asked = stand.clone()
+    asked[0, LEFT] -= 0.1
+    shares = [1.0, 1.0, 1.0, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0]
+    for again in range(2):
+        ahead = velocity(90)
+        knees = [step(reference, [1], asked, velocity=ahead)[0, LEFT].item() for _ in shares]
+        script = [-0.3 - k / 100 for k in (0, 0, 1, 1, 1, 2, 2, 2, 2, 2)]
+        expected = [way - 0.1 * share for way, share in zip(script, shares, strict=True)]
+        assert knees == pytest.approx(expected, abs=1e-5), again
+        assert_close(step(reference, [0], asked), asked)  # all of it while it recovers
+
+
 def test_a_policy_corrects_the_script_within_the_joint_ranges(make_base):
     env = make_base(num_envs=2, control_dt=0.04)
     reference = KneelReference(env, speed=1000.0)

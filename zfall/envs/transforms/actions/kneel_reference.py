@@ -1,5 +1,6 @@
 """The way down around which a policy acts while it kneels."""
 
+import math
 from pathlib import Path
 
 import torch
@@ -35,6 +36,8 @@ class KneelReference(Transform):
         speed: of each joint [rad/s].
         moving: speed of the center of mass at which the movement begins [m/s].
         settle: time in which it may become another one [s].
+        landing: time for which the policy corrects the movement [s]; over as long again its share
+            then fades, so that the robot comes to rest by script. ``None``: always.
         catches: file of the movements; ``None``: that of the robot.
 
     Raises:
@@ -52,16 +55,19 @@ class KneelReference(Transform):
         speed: float = 6.0,
         moving: float = 0.3,
         settle: float = 0.06,
+        landing: float | None = None,
         catches: str | None = None,
     ):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
         robot = env.robot
         if not robot.kneel:
             raise ValueError(f"KneelReference needs a robot with a kneel; {robot.name} has none.")
-        for name, value in (("speed", speed), ("moving", moving), ("settle", settle)):
+        landing = math.inf if landing is None else landing
+        positive = {"speed": speed, "moving": moving, "settle": settle, "landing": landing}
+        for name, value in positive.items():
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}.")
-        self.speed, self.moving, self.settle = speed, moving, settle
+        self.speed, self.moving, self.settle, self.landing = speed, moving, settle, landing
         self.control_dt, self.stand, self.range = (
             env.control_dt,
             env.stand_position,
@@ -103,7 +109,8 @@ class KneelReference(Transform):
             recover[:, None], self.stand, self.way + further.clamp(-reach, reach)
         )
         self.clock = torch.where(waits, 0, clock + 1)
-        target = tensordict["target"] + self.way - self.stand
+        share = (2.0 - clock * self.control_dt / self.landing).clamp(0.0, 1.0)[:, None]
+        target = self.way + share * (tensordict["target"] - self.stand)
         return tensordict.set("target", torch.clamp(target, *self.range.unbind(-1)))
 
     def _reset(
