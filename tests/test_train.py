@@ -107,7 +107,7 @@ BAD = [
     ),
     (
         ["warm_start=pose_hold"],
-        "warm_start must be a run folder, or one of atalante, best, best_gru, icub, kneel, zeroth_fall; there",
+        "warm_start must be a run folder, or one of atalante, best, best_gru, icub, kneel, kneel_soft, zeroth_fall; there",
     ),
     (
         ["+env.transforms.reward.terms.mine=[0.1,{_target_:tests.test_train.row,_partial_:true}]"],
