@@ -1,10 +1,14 @@
 """The papers' experiments: they learn, and a laptop gets the same task."""
 
+from pathlib import Path
+
 import pandas as pd
 import pytest
 
 from tests.shell import TINY, run
+from zfall.envs.robots import ZEROTH01
 
+FALLS = Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")
 PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
 
 
@@ -13,12 +17,12 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
     [
         *(name + end for name in PAPERS for end in ("", "_laptop")),
         "best_gru",
-        "push_to_kneel_softly",
+        f"push_to_kneel_softly env.transforms.falling.bank={FALLS}",
     ],
 )
 def test_every_experiment_learns(name, tmp_path):
     """Its networks, loss and optimizer, on a small batch."""
-    done = run("train", f"experiment={name}", *TINY, f"hydra.run.dir={tmp_path}")
+    done = run("train", *f"experiment={name}".split(), *TINY, f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     metrics = pd.read_csv(tmp_path / "metrics.csv")
     assert metrics["frames"].tolist() == [32, 64]

@@ -91,6 +91,7 @@ def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: fl
 def hard_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
     """By how much the largest acceleration of the base over the step exceeds ``free`` [m/s2].
 
+    Over an episode the excess of all hard steps adds up; a step that diverged counts as soft.
     Reads ``base_acceleration_peak`` ``(*B, 1)``, 9.81 at rest. Returns ``(*B, 1)``.
     """
     return (next_td["base_acceleration_peak"] - free).clamp_min(0.0)

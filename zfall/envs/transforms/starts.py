@@ -189,8 +189,10 @@ class FallingStart(Transform):
         env: the base env.
         bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
         share: of the episodes that begin in a fall.
-        pushed: whether what is left of a push at that moment goes on at the torso; the bank then
-            has ``push_force`` ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too.
+        pushed: whether what is left of a push at that moment goes on, at the torso, where those
+            of the bank must have been (``recipes.falls 'points=[torso]'``); no key of ``push``
+            tells of it. The bank then has ``push_force`` ``(K, 3)`` [N; world] and ``push_left``
+            ``(K, 1)`` [s], too.
 
     Raises:
         ValueError: if the file is missing, is of another robot or lacks pushes that are to go on,
@@ -234,6 +236,8 @@ class FallingStart(Transform):
             "base_orientation": base[3:7],
             "joint_position": env.stand_position,
         }
+        if not pushed:
+            return
         self.torso, self.add_force = env.push_target("torso"), env.add_force
         self.control_dt, self.physics_dt = env.control_dt, env.physics_dt
         self.number = torch.arange(env.substeps)
@@ -261,7 +265,8 @@ class FallingStart(Transform):
         return tensordict
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if not (self.left > 0).any():
+        # Without keys of the inverse pass: they would place it before the starts that it replaces.
+        if not self.pushed or not (self.left > 0).any():
             return tensordict
         rows = (self.left[:, 0] > 0).nonzero()[:, 0]
         steps = (self.left[rows] / self.physics_dt).round()

@@ -18,8 +18,9 @@ from zfall.envs.transforms.values import per_world, reset_rows
 class KneelReference(Transform):
     """Moves the reference of the targets along a safe way down once the robot is to kneel.
 
-    ``target = clamp(target + way - stand, joint range)``: ``way`` is the standing pose in mode
-    RECOVER; in the other modes every joint goes at ``speed`` through the postures of a movement.
+    ``target = clamp(way + share (target - stand), joint range)``: ``way`` is the standing pose in
+    mode RECOVER and ``share`` 1; in the others every joint goes at ``speed`` through the postures
+    of a movement.
     A policy that does nothing so kneels by script; one that learns corrects the script, by as much
     as the target before it, which the joint ranges bound too, leaves.
 
@@ -36,8 +37,9 @@ class KneelReference(Transform):
         speed: of each joint [rad/s].
         moving: speed of the center of mass at which the movement begins [m/s].
         settle: time in which it may become another one [s].
-        landing: time for which the policy corrects the movement [s]; over as long again its share
-            then fades, so that the robot comes to rest by script. ``None``: always.
+        landing: time from the movement's begin for which the policy corrects it [s]; over as long
+            again its share then fades to 0, so that the robot comes to rest by script. ``None``:
+            it always does, as it does until there is a movement.
         catches: file of the movements; ``None``: that of the robot.
 
     Raises:
