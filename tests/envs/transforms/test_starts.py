@@ -304,6 +304,8 @@ def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):
     FallingStart(make_base(), bank=str(bank))
     with pytest.raises(ValueError, match="lacks push_force"):
         FallingStart(make_base(), bank=str(bank), pushed=True)
+    with pytest.raises(ValueError, match="for pushed=true, got null"):
+        FallingStart(make_base(), pushed=True)
 
 
 def test_a_missing_bank_of_falls_is_refused(make_base):

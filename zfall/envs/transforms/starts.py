@@ -213,6 +213,11 @@ class FallingStart(Transform):
         super().__init__()
         if not 0 < share <= 1:
             raise ValueError(f"share must lie in (0, 1], got {share}.")
+        if pushed and bank is None:
+            raise ValueError(
+                "bank must name a file of recipes.falls 'points=[torso]' for pushed=true, got null: "
+                "the robot's own has pushes at the pelvis, too."
+            )
         own = Path(env.robot.mjcf).with_name(f"{env.robot.name}_falls.npz")
         path = own if bank is None else Path(bank)
         if not path.is_file():
@@ -222,7 +227,8 @@ class FallingStart(Transform):
             lacking = [key for key in (*STATE_KEYS, *rest) if key not in file]
             if lacking:
                 raise ValueError(
-                    f"bank must be a file that recipes.falls wrote, {path} lacks {lacking[0]}."
+                    f"bank must be a file that recipes.falls wrote, {path} lacks {lacking[0]}: "
+                    "record it again."
                 )
             states = {key: torch.from_numpy(file[key]).float() for key in (*STATE_KEYS, *rest)}
         if states["joint_position"].shape[1] != len(env.stand_position):
