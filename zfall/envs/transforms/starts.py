@@ -215,8 +215,8 @@ class FallingStart(Transform):
             raise ValueError(f"share must lie in (0, 1], got {share}.")
         if pushed and bank is None:
             raise ValueError(
-                "bank must name a file of recipes.falls 'points=[torso]' for pushed=true, got null: "
-                "the robot's own has pushes at the pelvis, too."
+                "bank must name a file of recipes.falls 'points=[torso]' for pushed=true, "
+                "got null: the robot's own has pushes at the pelvis, too."
             )
         own = Path(env.robot.mjcf).with_name(f"{env.robot.name}_falls.npz")
         path = own if bank is None else Path(bank)
