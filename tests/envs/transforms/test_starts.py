@@ -279,6 +279,11 @@ def test_what_is_left_of_a_push_goes_on_and_moves_the_robot_by_its_impulse(pushe
         momentum = td["linear_momentum"]
         gained = momentum - momentum[still].mean(0)
         assert_close(gained, force * seconds, atol=0.06, rtol=0)  # a physics step of 30 N: 0.12
+        if seconds == 0.036:  # what acted in the first control step: all of it at the torso
+            impulse = 0.004 * env.base_env.simulation.wrench.float().sum(1)
+            torso = impulse[:, env.base_env.push_targets["torso"], :3]
+            assert_close(torso, force * 0.04)
+            assert_close(impulse.abs().sum((1, 2)), torso.abs().sum(1))
 
 
 def test_a_partial_reset_leaves_the_pushes_of_the_others(pushed_falls):
