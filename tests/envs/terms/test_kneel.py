@@ -42,10 +42,51 @@ def test_shocks_count_from_rest_on():
         assert term.item() == pytest.approx(value, abs=1e-3)
 
 
-def test_a_landing_is_hard_by_what_exceeds_the_free_acceleration():
-    td = TensorDict({"base_acceleration_peak": torch.tensor([[9.81], [90.0], [215.0]])}, [3])
-    term = kneel.hard_landing(td, td, free=90.0)
-    assert term.flatten().tolist() == [0.0, 0.0, 125.0]
+def test_a_landing_is_harder_by_what_it_adds_to_the_hardest_shock():
+    before, after = (
+        TensorDict({"base_acceleration_max": torch.tensor(x)[:, None]}, [4])
+        for x in ([9.81, 60.0, 95.0, 215.0], [75.0, 130.0, 140.0, 215.0])
+    )
+    term = kneel.harder_landing(before, after, free=80.0)
+    assert term.flatten().tolist() == [0.0, 50.0, 45.0, 0.0]
+
+
+def test_a_blow_is_harder_by_what_it_adds_to_the_hardest_on_those_regions():
+    torso, head, hand = (ZEROTH01.regions.index(name) for name in ("torso", "head", "left_hand"))
+    force = torch.zeros(2, 3, R)  # before and after a step, three worlds
+    force[0, :, torso] = torch.tensor([0.0, 50.0, 50.0])
+    force[1, :, torso] = torch.tensor([0.0, 50.0, 50.0])
+    force[1, :, head] = torch.tensor([0.0, 30.0, 80.0])
+    force[1, :, hand] = 900.0
+    before, after = (TensorDict({"contact_force_max": f}, [3]) for f in force)
+    term = kneel.harder_blow(before, after, robot=ZEROTH01, names=["torso", "head"])
+    assert term.flatten().tolist() == [0.0, 0.0, 30.0]
+
+
+def test_a_kneel_is_clean_if_torso_and_head_never_touched():
+    """Four worlds: on a knee, so after the head touched, on the torso as well, on no knee."""
+    size = [4, R]
+    now, ever = torch.zeros(size), torch.zeros(size)
+    now[:3, ZEROTH01.regions.index("left_knee")] = 9.0
+    now[2, ZEROTH01.regions.index("torso")] = 9.0
+    ever[1, ZEROTH01.regions.index("head")] = 9.0
+    ever = torch.maximum(ever, now)
+    td = TensorDict(
+        {
+            "contact_force_peak": now,
+            "contact_force_max": ever,
+            "base_orientation": torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(4, 4),
+            "base_linear_velocity": torch.full((4, 3), 0.5),
+            "base_angular_velocity": torch.zeros(4, 3),
+            "joint_velocity": torch.full((4, 20), 5.0),
+        },
+        [4],
+    )
+    bounds = {"robot": ZEROTH01, "speed": 2.0, "joint_speed": torch.inf}
+    assert kneel.kneeling(td, td, **bounds).flatten().tolist() == [1.0, 1.0, 0.0, 0.0]
+    assert kneel.kneeling(td, td, clean=True, **bounds).flatten().tolist() == [1.0, 0.0, 0.0, 0.0]
+    bounds["speed"] = 0.5  # 0.87 m/s
+    assert not kneel.kneeling(td, td, **bounds).any()
 
 
 def test_turning_counts_in_all_axes():

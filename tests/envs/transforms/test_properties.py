@@ -101,6 +101,10 @@ TABLE = {  # in the order of a yaml
     "momentum": {"_target_": f"{_WINDOWS}.MomentumRate"},
     "gone": {"_target_": f"{_WINDOWS}.OdometryDisplacement", "seconds": 0.2},
     "error": {"_target_": f"{_WINDOWS}.JointErrorMin", "seconds": 0.16},
+    "shock": {
+        "_target_": f"{_WINDOWS}.LargestSoFar",
+        "keys": {"base_acceleration_peak": "base_acceleration_max"},
+    },
     "stop": {"_target_": f"{_WINDOWS}.JointStopSpeed"},
     "power": {"_target_": f"{_WINDOWS}.JointPower"},
     "air_time": {"_target_": f"{_WINDOWS}.FeetAirTime"},

@@ -88,13 +88,49 @@ def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: fl
     return torch.exp(-excess.square() / sigma**2)
 
 
-def hard_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
-    """By how much the largest acceleration of the base over the step exceeds ``free`` [m/s2].
+def harder_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
+    """By how much the step raised the episode's hardest shock, above ``free`` [m/s2].
 
-    Over an episode the excess of all hard steps adds up; a step that diverged counts as soft.
-    Reads ``base_acceleration_peak`` ``(*B, 1)``, 9.81 at rest. Returns ``(*B, 1)``.
+    Over an episode it adds up to the excess of the hardest shock alone, which is what the batteries
+    report; softer ones after it cost nothing. Reads ``base_acceleration_max`` ``(*B, 1)``, of
+    ``LargestSoFar``. Returns ``(*B, 1)``.
     """
-    return (next_td["base_acceleration_peak"] - free).clamp_min(0.0)
+    before, after = ((x["base_acceleration_max"] - free).clamp_min(0.0) for x in (td, next_td))
+    return after - before
+
+
+def harder_blow(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+) -> Tensor:
+    """By how much the step raised the episode's largest force on regions with these names [N].
+
+    Reads ``contact_force_max`` ``(*B, R)``, of ``LargestSoFar``. Returns ``(*B, 1)``.
+    """
+    of = regions_named(robot, *names)
+    before, after = (x["contact_force_max"][..., of].amax(-1, keepdim=True) for x in (td, next_td))
+    return after - before
+
+
+def kneeling(
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    speed: float,
+    joint_speed: float,
+    clean: bool = False,
+) -> Tensor:
+    """1 while it rests on a knee or shin as ``resting_kneel`` says, with these bounds.
+
+    ``speed`` [m/s and rad/s], ``joint_speed`` [rad/s]; if ``clean``, only as long as torso and head
+    have not touched the floor in this episode, which ``contact_force_max`` ``(*B, R)`` tells.
+    Returns ``(*B, 1)``.
+    """
+    rests = resting_kneel(td, next_td, robot=robot, speed=speed, joint_speed=joint_speed)
+    if clean:
+        of = regions_named(robot, "torso", "head")
+        rests &= (next_td["contact_force_max"][..., of] == 0).all(-1, keepdim=True)
+    return rests.float()
 
 
 def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:

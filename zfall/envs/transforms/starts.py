@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import START_KEYS, STATE_KEYS, HumanoidEnv
@@ -190,8 +191,8 @@ class FallingStart(Transform):
         bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
         share: of the episodes that begin in a fall.
         pushed: whether what is left of a push at that moment goes on, at the torso, where those
-            of the bank must have been (``recipes.falls 'points=[torso]'``); no key of ``push``
-            tells of it. The bank then has ``push_force`` ``(K, 3)`` [N; world] and ``push_left``
+            of the bank must have been (``recipes.falls 'points=[torso]'``); ``falling_impulse``
+            ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force`` ``(K, 3)`` [N; world] and ``push_left``
             ``(K, 1)`` [s], too.
 
     Raises:
@@ -269,6 +270,21 @@ class FallingStart(Transform):
                 there = self.stand.get(name, torch.zeros_like(value)).expand_as(value)
             tensordict["start", name] = torch.where(falls, value, there)
         return tensordict
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        if self.pushed:
+            next_tensordict.set("falling_impulse", self.force * self.left)
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        if self.pushed:
+            observation_spec["falling_impulse"] = Unbounded((*observation_spec.shape, 3))
+        return observation_spec
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         # Without keys of the inverse pass: they would place it before the starts that it replaces.

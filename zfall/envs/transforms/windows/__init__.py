@@ -5,6 +5,7 @@ from zfall.envs.transforms.windows.joint_effort import JointEffort
 from zfall.envs.transforms.windows.joint_error_min import JointErrorMin
 from zfall.envs.transforms.windows.joint_power import JointPower
 from zfall.envs.transforms.windows.joint_stop_speed import JointStopSpeed
+from zfall.envs.transforms.windows.largest_so_far import LargestSoFar
 from zfall.envs.transforms.windows.last_action import LastAction
 from zfall.envs.transforms.windows.mean_velocity import MeanVelocity
 from zfall.envs.transforms.windows.momentum_rate import MomentumRate
@@ -16,6 +17,7 @@ __all__ = [
     "JointErrorMin",
     "JointPower",
     "JointStopSpeed",
+    "LargestSoFar",
     "LastAction",
     "MeanVelocity",
     "MomentumRate",
