@@ -61,6 +61,11 @@ def test_a_blow_is_harder_by_what_it_adds_to_the_hardest_on_those_regions():
     before, after = (TensorDict({"contact_force_max": f}, [3]) for f in force)
     term = kneel.harder_blow(before, after, robot=ZEROTH01, names=["torso", "head"])
     assert term.flatten().tolist() == [0.0, 0.0, 30.0]
+    # The head touches after the torso did: no first touch. The hand does not count.
+    first = kneel.first_touch(before, after, robot=ZEROTH01, names=["torso", "head"])
+    assert first.flatten().tolist() == [0.0, 0.0, 0.0]
+    of_head = kneel.first_touch(before, after, robot=ZEROTH01, names=["head"])
+    assert of_head.flatten().tolist() == [0.0, 1.0, 1.0]
 
 
 def test_a_kneel_is_clean_if_torso_and_head_never_touched():

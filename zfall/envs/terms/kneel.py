@@ -111,6 +111,20 @@ def harder_blow(
     return after - before
 
 
+def first_touch(
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+) -> Tensor:
+    """1 for the step in which the first region with one of the names touched the floor.
+
+    Reads ``contact_force_max`` ``(*B, R)``, of ``LargestSoFar``. Returns ``(*B, 1)``.
+    """
+    of = regions_named(robot, *names)
+    before, after = (
+        (x["contact_force_max"][..., of] > 0).any(-1, keepdim=True) for x in (td, next_td)
+    )
+    return (after & ~before).float()
+
+
 def kneeling(
     td: TensorDictBase,
     next_td: TensorDictBase,
