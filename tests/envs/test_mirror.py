@@ -93,6 +93,21 @@ def test_twice_in_the_mirror_is_as_before(key):
     assert_close(reflect(key, reflect(key, value)), value)
 
 
+@pytest.mark.parametrize(
+    ("key", "like"),
+    [
+        ("falling_impulse", "push/force"),
+        ("contact_force_max", "contact_force_peak"),
+        ("base_acceleration_max", "base_acceleration_peak"),
+        ("step_count", "base_height"),
+    ],
+)
+def test_what_comes_of_a_quantity_is_mirrored_as_it_is(key, like):
+    index, sign = mirror_quantity(ZEROTH01, key)
+    expected = mirror_quantity(ZEROTH01, like)
+    assert (list(index), list(sign)) == (list(expected[0]), list(expected[1]))
+
+
 def test_a_turned_vector_in_the_mirror_is_the_mirrored_one_turned_there():
     """``M (R v) = R' (M v)``: holds for a quaternion only with the signs of an axial axis."""
     turn = torch.nn.functional.normalize(torch.randn(10, 4), dim=-1)

@@ -13,7 +13,7 @@ _POLAR, _AXIAL, _QUATERNION = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, -1.0, 1
 _SIGNS: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(("base_position", "com_position", "projected_gravity", "push/force"), _POLAR),
     **dict.fromkeys(("base_linear_velocity", "com_velocity", "linear_momentum"), _POLAR),
-    **dict.fromkeys(("base_acceleration",), _POLAR),
+    **dict.fromkeys(("base_acceleration", "falling_impulse"), _POLAR),
     **dict.fromkeys(("base_angular_velocity", "angular_momentum"), _AXIAL),
     **dict.fromkeys(("base_orientation", "imu_orientation"), _QUATERNION),
     **dict.fromkeys(("tilt", "roll_pitch"), (-1.0, 1.0)),
@@ -21,6 +21,7 @@ _SIGNS: dict[str, tuple[float, ...]] = {
         ("base_height", "base_acceleration_peak", "joint_torque_peak", "params/foot_friction"),
         (1.0,),
     ),
+    **dict.fromkeys(("base_acceleration_max", "step_count"), (1.0,)),
     "mode": (1.0, 1.0, 1.0),
     "params/slope": (1.0, -1.0),
     "command": tuple(-1.0 if name in ("vy", "yaw", "roll") else 1.0 for name in ENTRIES),
@@ -33,6 +34,7 @@ _FOOT_SIGNS: dict[str, tuple[float, ...]] = {
     "feet_cop": (1.0, -1.0),
 }
 _JOINTS = ("joint_position", "joint_velocity", "joint_torque", "target", "action", "last_action")
+_OF_REGIONS = ("contact_force_peak", "contact_force_max", "contact_impulse")
 _WITHIN_RANGE = ("joint_position", "target")  # left and right need not have the same ranges
 
 Permutation = tuple[Sequence[int], Sequence[float]]
@@ -131,7 +133,7 @@ def mirror_quantity(robot: Robot, name: str) -> Permutation:
     special: dict[str, Callable[[], Permutation]] = {
         **dict.fromkeys(_JOINTS, lambda: (robot.mirror_index, robot.mirror_sign)),
         "feet_corner_force": lambda: _corners(robot),
-        **dict.fromkeys(("contact_force_peak", "contact_impulse"), lambda: _regions(robot)),
+        **dict.fromkeys(_OF_REGIONS, lambda: _regions(robot)),
     }
     if name not in special:
         known = ", ".join((*_SIGNS, *_FOOT_SIGNS, *special))

@@ -192,8 +192,8 @@ class FallingStart(Transform):
         share: of the episodes that begin in a fall.
         pushed: whether what is left of a push at that moment goes on, at the torso, where those
             of the bank must have been (``recipes.falls 'points=[torso]'``); ``falling_impulse``
-            ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force`` ``(K, 3)`` [N; world] and ``push_left``
-            ``(K, 1)`` [s], too.
+            ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force``
+            ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too.
 
     Raises:
         ValueError: if the file is missing, is of another robot or lacks pushes that are to go on,
