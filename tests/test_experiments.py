@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from hydra.utils import instantiate
 
 from tests.shell import TINY, run
 from zfall.envs.robots import ZEROTH01
@@ -27,6 +28,17 @@ def test_every_experiment_learns(name, tmp_path):
     metrics = pd.read_csv(tmp_path / "metrics.csv")
     assert metrics["frames"].tolist() == [32, 64]
     assert metrics.filter(regex="^loss/").notna().all(axis=None)
+
+
+def test_soft_landings_are_rewarded_outside_training_too(compose_config):
+    """What evaluation leaves out, the rewards do not read."""
+    bank = f"env.transforms.falling.bank={FALLS}"
+    cfg = compose_config("experiment=push_to_kneel_softly", bank, "num_envs=2")
+    env = instantiate(cfg.env, training=False)
+    env.set_seed(0)
+    reward = env.rollout(3)["next", "reward"]
+    assert reward.shape == (2, 3, 1)
+    assert reward.isfinite().all()
 
 
 @pytest.mark.parametrize("name", PAPERS)

@@ -91,7 +91,7 @@ def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: fl
 def harder_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
     """By how much the step raised the episode's hardest shock, above ``free`` [m/s2].
 
-    Over an episode it adds up to the excess of the hardest shock alone, which is what the batteries
+    Over an episode it adds up to the excess of the hardest shock alone, whose peak the batteries
     report; softer ones after it cost nothing. Reads ``base_acceleration_max`` ``(*B, 1)``, of
     ``LargestSoFar``. Returns ``(*B, 1)``.
     """

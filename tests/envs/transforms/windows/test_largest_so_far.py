@@ -32,7 +32,7 @@ def test_largest_is_that_of_a_list_with_resets_in_between(make_base, play):
         assert torch.allclose(cost, (found[k] - 80.0).clamp_min(0.0), atol=1e-3)
 
 
-def test_a_diverged_step_leaves_it(make_base, play):
+def test_what_is_not_a_number_leaves_it(make_base, play):
     frames = [{"base_acceleration_peak": torch.tensor([[x]])} for x in (9.8, 50.0, torch.nan, 40.0)]
     out = play(LargestSoFar(make_base(num_envs=1), keys=KEYS), frames)
     assert [td["base_acceleration_max"].item() for td in out] == [0.0, 50.0, 50.0, 50.0]
@@ -50,3 +50,11 @@ def test_keys_that_nobody_measures_are_refused(make_base):
         LargestSoFar(make_base(), keys={})
     with pytest.raises(ValueError, match="of the base env, got shock"):
         LargestSoFar(make_base(), keys={"shock": "largest_shock"})
+    with pytest.raises(ValueError, match="a row, got feet_corner_force"):
+        LargestSoFar(make_base(), keys={"feet_corner_force": "corner_force_max"})
+    for keys in (
+        {"contact_force_peak": "base_position"},
+        {"contact_force_peak": "peak", "base_acceleration_peak": "peak"},
+    ):
+        with pytest.raises(ValueError, match="names of their own, (base_position|peak) is taken"):
+            LargestSoFar(make_base(), keys=keys)

@@ -25,7 +25,8 @@ class LargestSoFar(Transform):
         keys: ``{read: written}``, as in ``{base_acceleration_peak: base_acceleration_max}``.
 
     Raises:
-        ValueError: if there is none, or one that the base env does not measure.
+        ValueError: if there is none, one that the base env does not measure or whose values are no
+            vectors, or a name that is taken.
     """
 
     def __init__(self, env: HumanoidEnv, *, keys: Mapping[str, str]):
@@ -34,6 +35,12 @@ class LargestSoFar(Transform):
         for key in keys:
             if key not in env.observation_spec.keys():
                 raise ValueError(f"keys must name quantities of the base env, got {key}.")
+            if env.observation_spec[key].ndim != 2:
+                raise ValueError(f"keys must name quantities of one number or a row, got {key}.")
+        names = list(keys.values())
+        for name in names:
+            if name in env.observation_spec.keys() or names.count(name) > 1:
+                raise ValueError(f"keys must be written to names of their own, {name} is taken.")
         super().__init__(in_keys=list(keys), out_keys=list(keys.values()))
         for key, name in keys.items():
             self.register_buffer(name, torch.zeros(env.observation_spec[key].shape))
