@@ -58,7 +58,7 @@ def main(cfg: DictConfig) -> None:
         impulses=list(cfg.impulses),
         starts=cfg.starts,
         duration=cfg.duration,
-        push_time=0.52,  # whole control steps of 20 and 40 ms
+        push_time=0.52,  # whole control steps of 20 and 40 ms; they begin somewhere in the last
         end_time=2.5,
         directions=24,
     )
@@ -69,7 +69,7 @@ def main(cfg: DictConfig) -> None:
     )
     base = env.base_env
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
-    pushes = plan_pushes(battery, trials)[rows]
+    pushes = plan_pushes(battery, trials).sooner(base.control_dt, base.physics_dt, cfg.seed)[rows]
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     steps = round(battery.end_time / base.control_dt)
     fell, moments = torch.zeros(base.num_envs, dtype=torch.bool), []
@@ -79,17 +79,17 @@ def main(cfg: DictConfig) -> None:
     pushing = torch.stack([force * heading.cos(), force * heading.sin(), 0.0 * force], -1)
     for step, td in enumerate(play(env, actor, steps), 1):
         fell |= body_contact(td, td).squeeze(-1)
-        since_push = step * base.control_dt - battery.push_time
+        since_push = step * base.control_dt - pushes.time[:, 0].float()  # [s]
         if cfg.times is None:
             now_kneels = td["mode"][:, KNEEL] > 0
             kept = now_kneels & ~given_up & (since_push > 1e-6)
             given_up |= now_kneels
         else:
-            now = any(abs(since_push - time) < 0.5 * base.control_dt for time in cfg.times)
-            kept = torch.full_like(fell, now)
+            off = since_push[:, None] - torch.tensor(list(cfg.times)) + 0.5 * base.control_dt
+            kept = ((off > -1e-6) & (off < base.control_dt - 1e-6)).any(-1)
         if not kept.any():
             continue
-        remains = torch.full((base.num_envs, 1), max(cfg.duration - since_push, 0.0))
+        remains = (cfg.duration - since_push).clamp_min(0.0)[:, None]
         state = torch.cat(
             [*(td[key] for key in STATE_KEYS), pushing * (remains > 1e-6), remains], -1
         )

@@ -37,7 +37,7 @@ class History(NamedTuple):
 
     ``measured`` what the network sees; ``lean`` [rad] and ``rate`` [rad/s] of the trunk; ``live``
     whether nothing but the feet has touched yet, bool; ``fell`` ``(K,)`` whether it will;
-    ``pushed`` ``(T,)`` whether the push has begun.
+    ``pushed`` ``(K, T)`` whether the push has begun.
     """
 
     measured: Tensor
@@ -123,10 +123,7 @@ def split(history: History, order: Tensor) -> list[History]:
     """Three parts: 60, 20 and 20 %."""
     count = len(order)
     cuts = order.tensor_split([int(0.6 * count), int(0.8 * count)])
-    return [
-        History(*(value[rows] for value in history[:5]), history.pushed)  # type: ignore[call-arg]
-        for rows in cuts
-    ]
+    return [History(*(value[rows] for value in history)) for rows in cuts]
 
 
 def record(
@@ -147,7 +144,7 @@ def record(
     base = env.base_env
     env.set_seed(cfg.seed)
     rows = np.arange(base.num_envs).clip(max=len(trials) - 1)
-    pushes = plan_pushes(battery, trials)[rows]
+    pushes = plan_pushes(battery, trials).sooner(base.control_dt, base.physics_dt, cfg.seed)[rows]
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     steps: list[list[Tensor]] = []
     live = torch.ones(base.num_envs, dtype=torch.bool)
@@ -162,7 +159,7 @@ def record(
     values = [torch.stack(column, 1)[: len(trials)] for column in zip(*steps, strict=True)]
     measured, lean, rate, alive = values
     time = base.control_dt * torch.arange(1, len(steps) + 1)
-    pushed = time > battery.push_time + 1e-6
+    pushed = time > pushes.time[: len(trials)] + 1e-6
     return History(measured, lean, rate, alive, ~live[: len(trials)], pushed), base.control_dt
 
 
@@ -256,7 +253,7 @@ def table(
     rows = []
     steps = torch.arange(history.live.shape[1])
     touch = torch.where(history.live, 10**6, steps).amin(1)
-    begin = int((~history.pushed).sum())  # the first step after the push has begun
+    begin = (~history.pushed).sum(1)  # the first step after the push has begun
     for name, state in triggered.items():
         first = torch.where(state, steps, 10**6).amin(1)
         falls, stays = history.fell, ~history.fell

@@ -11,15 +11,24 @@ HARD = ["points=[torso]", "impulses=[1.5]", "starts=1"]  # 24 directions
 
 
 def test_states_at_given_times_and_what_is_left_of_the_push(tmp_path):
-    """Of 0.1 s are left 0.02 s after 0.08 s, nothing after 0.12 s; nobody withstands it."""
+    """Pushes of 0.1 s begin in any physics step: 0.06 to 0.096 s before the first state.
+
+    Nothing is left at the second; nobody withstands it. Who was pushed for longer is faster.
+    """
     done = run("falls", "run=pose_hold", *HARD, "times=[0.08,0.12]", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     with np.load(tmp_path / "falls.npz") as falls:
         left, force = falls["push_left"][:, 0], np.linalg.norm(falls["push_force"], axis=1)
+        speed = np.linalg.norm(falls["base_linear_velocity"][:, :2], axis=1)
     assert len(left) == 48
-    assert sorted(left) == pytest.approx([0.0] * 24 + [0.02] * 24, abs=1e-6)
-    assert force[left > 0.01] == pytest.approx(FORCE, rel=1e-5)
-    assert (force[left < 0.01] == 0.0).all()
+    steps, first = left / 0.004, left > 0.001
+    assert steps == pytest.approx(steps.round(), abs=1e-4)
+    assert int(first.sum()) == 24
+    assert set(steps[first].round()) <= set(range(1, 11))
+    assert len(set(steps[first].round())) >= 6
+    assert np.corrcoef(speed[first], 0.1 - left[first])[0, 1] > 0.5
+    assert force[first] == pytest.approx(FORCE, rel=1e-5)
+    assert (force[~first] == 0.0).all()
 
 
 def test_a_limp_robot_falls_otherwise_than_one_that_holds_its_pose(tmp_path):
@@ -40,7 +49,7 @@ def test_states_at_the_trigger_of_a_policy_that_kneels(tmp_path):
         left, position = falls["push_left"][:, 0], falls["base_position"]
     assert 20 <= len(left) <= 24
     assert (left > 0.01).sum() >= 12  # it gives up before such a push is over
-    assert {round(float(time), 2) for time in left} <= {0.0, 0.02, 0.06}
+    assert len({round(float(time), 3) for time in left}) >= 6  # not all begin with a control step
     assert (position[:, :2] == 0.0).all()
 
 
