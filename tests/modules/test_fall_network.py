@@ -88,7 +88,8 @@ def made_up(trials: int = 400) -> History:
     fell = torch.rand(trials) < chance
     live = torch.ones(trials, 12, dtype=torch.bool)
     live[fell, 10:] = False
-    return History(measured, chance[:, None], chance[:, None], live, fell, torch.arange(12) >= 5)
+    pushed = (torch.arange(12) >= 5).expand(trials, -1)
+    return History(measured, chance[:, None], chance[:, None], live, fell, pushed)
 
 
 def test_before_the_push_no_fall_is_sure():
@@ -126,7 +127,7 @@ def test_calibration_of_what_can_be_told_apart_stays_finite():
     live = torch.ones(100, 1, dtype=torch.bool)
     measured = torch.where(fell, 2.0, -1.0)[:, None, None]
     zero = torch.zeros(100, 1)
-    history = History(measured, zero, zero, live, fell, torch.ones(1, dtype=torch.bool))
+    history = History(measured, zero, zero, live, fell, torch.ones_like(live))
 
     class Certain(FallNetwork):
         def logits(self, sequence, memory=None):
@@ -144,14 +145,14 @@ def test_lead_and_false_alarms_by_hand():
     live[0, 8:], live[1, 6:] = False, False
     history = History(
         torch.zeros(3, 10, 1), torch.zeros(3, 10), torch.zeros(3, 10), live,
-        torch.tensor([True, True, False]), torch.arange(10) >= 2,
+        torch.tensor([True, True, False]), torch.arange(10) >= torch.tensor([[2], [1], [2]]),
     )  # fmt: skip
     probability = torch.zeros(3, 10)
     probability[0, 3] = 0.9  # five steps ahead, and it goes down again
     probability[1, 7] = 0.9  # after the touch: too late
     probability[2, 4] = 0.6
     early = torch.zeros(3, 10)
-    early[:2, 1] = 0.9  # before the push, of which it knew nothing
+    early[0, 1], early[1, 0] = 0.9, 0.9  # before the push of each, of which it knew nothing
     rows = table("network", history, learned(early), 0.04).set_index("setting")
     assert rows.loc["0.5", "detected"] == 0.0
     rows = table("network", history, learned(probability), 0.04).set_index("setting")

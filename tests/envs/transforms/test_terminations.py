@@ -5,20 +5,21 @@ from functools import partial
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
+from torchrl.objectives.value import GAE
 
 from zfall.envs.make import make_env
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.terminations import Terminations, time_limit
 
 
-def build(make_base, conditions, seconds: float = 0.4):
+def build(make_base, conditions, seconds: float = 0.4, ends: bool = False):
     base = make_base(num_envs=3)
     return make_env(
         base,
         {
             "action": JointPositionTarget(base, scale=1.0),
             "end": Terminations(base, conditions=conditions),
-            "limit": time_limit(base, seconds=seconds),
+            "limit": time_limit(base, seconds=seconds, ends=ends),
         },
     )
 
@@ -37,6 +38,23 @@ def test_condition_ends_its_world_for_good_and_says_which_it_was(make_base):
         assert after[key].squeeze().tolist() == [False, True, False]
     assert not after["truncated"].any()
     assert list(after["terminations"].keys()) == ["mine"]
+
+
+def test_a_time_limit_that_ends_leaves_no_value_behind_it(make_base):
+    """Advantages of the last step are its reward less its value, whatever the value after it."""
+    env = build(make_base, {}, seconds=0.1, ends=True)
+    check_env_specs(env)
+    steps = round(0.1 / env.base_env.control_dt)
+    td = env.rollout(steps, break_when_any_done=False)
+    assert td["next", "terminated"].squeeze(-1).sum(1).tolist() == [1, 1, 1]
+    assert td["next", "terminated"][:, -1].all()
+    assert not td["next", "truncated"].any()
+    assert (td["next", "step_count"][:, -1] == steps).all()
+    td["next", "reward"] = torch.ones(3, steps, 1)
+    td["state_value"] = torch.full((3, steps, 1), 0.25)
+    td["next", "state_value"] = torch.full((3, steps, 1), 40.0)
+    td = GAE(gamma=0.9, lmbda=0.8, value_network=None, deactivate_vmap=True)(td)
+    torch.testing.assert_close(td["advantage"][:, -1], torch.full((3, 1), 0.75))
 
 
 def test_time_limit_truncates_after_its_seconds(make_base):

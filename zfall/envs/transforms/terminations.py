@@ -74,8 +74,15 @@ class Terminations(Transform):
         return observation_spec
 
 
-def time_limit(env: HumanoidEnv, *, seconds: float) -> StepCounter:
+def time_limit(env: HumanoidEnv, *, seconds: float, ends: bool = False) -> StepCounter:
     """Truncates an episode after so many seconds; counts its steps under ``step_count``.
+
+    Args:
+        env: the base env.
+        seconds: how long an episode lasts.
+        ends: whether it then terminates in place of being truncated: nothing after it counts.
+            So it must where critics see ``step_count``: they never learn the value at the limit,
+            which a truncated episode would add to its last reward.
 
     Raises:
         ValueError: if that is not at least one control step.
@@ -83,4 +90,4 @@ def time_limit(env: HumanoidEnv, *, seconds: float) -> StepCounter:
     steps = round(seconds / env.control_dt)
     if steps < 1:
         raise ValueError(f"seconds must be at least control_dt {env.control_dt}, got {seconds}.")
-    return StepCounter(max_steps=steps)
+    return StepCounter(max_steps=steps, truncated_key="terminated" if ends else "truncated")
