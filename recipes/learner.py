@@ -24,6 +24,7 @@ from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
+from zfall.modules.exploring import ExploringActor
 
 
 class Learner:
@@ -80,7 +81,10 @@ class Learner:
                 self.worlds.remember(module)
         if cfg.burn_in and not hidden:
             raise ValueError(f"burn_in must be 0 without memory to refresh, got {cfg.burn_in}.")
-        self._acting = TensorDictSequential(self.actor, *beside) if beside else self.actor
+        acting: Any = self.actor
+        if "exploration_noise" in spec.keys():
+            acting = ExploringActor(self.actor)
+        self._acting = TensorDictSequential(acting, *beside) if beside else acting
         loss = cfg.loss
         self.advantage: GAE
         if recurrent_keys(self.critic):

@@ -64,3 +64,11 @@ def test_a_world_that_reads_none_of_them_does_not_depend_on_them(assets):
     for _, ending in READ_BY.values():
         (assets / f"zeroth01_{ending}").write_bytes(b"other")
     assert env_digest(cfg) == before
+
+
+def test_a_network_that_ships_counts_by_its_content_when_it_is_named(assets):
+    name = "zeroth01_fall_network_com_velocity.pt"
+    cfg = world("load_fall_network", path=name)
+    before = env_digest(cfg)
+    (assets / name).write_bytes(b"trained anew")
+    assert env_digest(cfg) != before

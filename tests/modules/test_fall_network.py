@@ -62,6 +62,17 @@ def test_a_network_sees_what_it_was_trained_with_or_is_refused(make_base, networ
     assert shipped.gru.input_size == size  # and the targets of 20 joints
 
 
+def test_one_that_ships_goes_by_its_name_unless_a_file_is_called_so(network, tmp_path, monkeypatch):
+    """It sees three numbers more than the other one, the velocity of the center of mass."""
+    name = "zeroth01_fall_network_com_velocity.pt"
+    shipped = load_fall_network(name)
+    assert shipped.trained_with["keys"] == [*SHIPPED["keys"], "com_velocity"]
+    assert shipped.gru.input_size == load_fall_network().gru.input_size + 3
+    monkeypatch.chdir(tmp_path)
+    save_fall_network(network, tmp_path / name)
+    assert load_fall_network(name).gru.input_size == 6
+
+
 def test_the_transform_begins_anew_with_each_episode(make_base, network):
     env = make_base(num_envs=3)
     keys = ["projected_gravity", "base_angular_velocity"]

@@ -10,6 +10,7 @@ from zfall import checkpoint
 from zfall.modules.normalization import ObservationNormalizer
 
 _SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
+_ASSETS = Path(__file__).parents[1] / "envs" / "assets"
 SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # what the one that ships was trained with
 
 
@@ -53,6 +54,14 @@ class FallNetwork(nn.Module):
         return torch.sigmoid(self.slope * logit + self.offset), after
 
 
+def fall_network_path(path: str | None) -> Path:
+    """The file that a name or path stands for, see ``load_fall_network``."""
+    shipped = _ASSETS / (path or "zeroth01_fall_network.pt")
+    return (
+        shipped if path is None or (shipped.is_file() and not Path(path).exists()) else Path(path)
+    )
+
+
 def save_fall_network(network: FallNetwork, path: Path) -> None:
     """Writes the weights, the sizes, and what it was trained with."""
     sizes = {"size": network.gru.input_size, "hidden_size": network.hidden_size}
@@ -61,13 +70,16 @@ def save_fall_network(network: FallNetwork, path: Path) -> None:
 
 
 def load_fall_network(path: str | None = None) -> FallNetwork:
-    """The network of a file that ``recipes.trigger`` wrote; ``None``: the one that ships.
+    """The network of a file that ``recipes.trigger`` wrote.
+
+    Args:
+        path: of the file, or the name of one that ships beside the robot's MJCF; ``None``:
+            ``zeroth01_fall_network.pt``, which sees proprioception alone.
 
     Raises:
         ValueError: if there is none.
     """
-    shipped = Path(__file__).parents[1] / "envs" / "assets" / "zeroth01_fall_network.pt"
-    content = checkpoint.load(shipped if path is None else Path(path))
+    content = checkpoint.load(fall_network_path(path))
     if "fall_network" not in content:
         raise ValueError(f"path must be a file of recipes.trigger, {path} is of another kind.")
     network = FallNetwork(**content["sizes"])

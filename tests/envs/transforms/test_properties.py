@@ -105,6 +105,10 @@ TABLE = {  # in the order of a yaml
         "_target_": f"{_WINDOWS}.LargestSoFar",
         "keys": {"base_acceleration_peak": "base_acceleration_max"},
     },
+    "explore": {
+        "_target_": "zfall.envs.transforms.exploration.CorrelatedNoise",
+        "correlation": 0.8,
+    },
     "stop": {"_target_": f"{_WINDOWS}.JointStopSpeed"},
     "power": {"_target_": f"{_WINDOWS}.JointPower"},
     "air_time": {"_target_": f"{_WINDOWS}.FeetAirTime"},

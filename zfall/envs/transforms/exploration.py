@@ -1,0 +1,61 @@
+"""Noise by which a policy explores, where it is to last longer than a control step."""
+
+import math
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.values import reset_rows
+
+
+class CorrelatedNoise(Transform):
+    """Draws noise for the actions of which each control step keeps a part.
+
+    ``noise' = c noise + sqrt(1 - c^2) n`` with n from N(0, 1): of deviation 1 in every step, as
+    white noise is, but half of it is left after ``log(1/2) / log(c)`` steps. White noise at 25 Hz
+    hardly moves joints with the inertia of a servo; this does. Training explores by it wherever it
+    stands in the table (``zfall.modules.exploring.ExploringActor``), for a plain Gaussian alone.
+
+    Keys: writes ``exploration_noise`` ``(N, J)``, anew with every episode.
+
+    Args:
+        env: the base env.
+        correlation: between a step and the next, c in [0, 1).
+
+    Raises:
+        ValueError: if the correlation is not in that range.
+
+    Source: Hollenstein et al., "Colored Noise in PPO: Improved Exploration and Performance through
+    Correlated Action Sampling", AAAI 2024, whose noise is coloured by its spectrum.
+    """
+
+    noise: Tensor
+
+    def __init__(self, env: HumanoidEnv, *, correlation: float):
+        super().__init__(out_keys=["exploration_noise"])
+        if not 0 <= correlation < 1:
+            raise ValueError(f"correlation must lie in [0, 1), got {correlation}.")
+        self.correlation, self.rng = correlation, env.rng
+        self.register_buffer("noise", torch.zeros(env.num_envs, len(env.stand_position)))
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        fresh = torch.randn(self.noise.shape, generator=self.rng)
+        rest = math.sqrt(1.0 - self.correlation**2)
+        self.noise = self.correlation * self.noise + rest * fresh
+        return next_tensordict.set("exploration_noise", self.noise)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        fresh = torch.randn(self.noise.shape, generator=self.rng)
+        self.noise = torch.where(reset_rows(tensordict)[:, None], fresh, self.noise)
+        return tensordict_reset.set("exploration_noise", self.noise)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["exploration_noise"] = Unbounded(self.noise.shape)
+        return observation_spec
