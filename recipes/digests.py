@@ -51,8 +51,8 @@ def env_digest(env_cfg: DictConfig) -> str:
         key, ending = READ_BY[name]
         own = Path(robot.mjcf).with_name(f"{robot.name}_{ending}")
         path = Path(node.get(key) or own) if key else own
-        if not path.exists() and own.with_name(path.name).exists():
-            path = own.with_name(path.name)  # one of those that ship, by its name
+        if name == "load_fall_network" and not path.exists():
+            path = own.with_name(str(path))  # one of those that ship, by its name
         if path.exists():  # else its reader says so
             read[name] = read.get(name, "") + file_digest(path)
     return digest({"env": text, "robot": identity_of(robot), "files": read})

@@ -1,8 +1,8 @@
 """Records the midst of falls, from which kneeling is learned: ``python -m recipes.falls run=best``.
 
 A policy is pushed from all sides at some points by more than it withstands. Of every trial that
-ends on the floor the states some ``times`` after the push began are kept, when a trigger may first
-tell: later there is no time left, a fall takes 0.3 s. With ``times=null``, for a policy that
+ends on the floor the states nearest to some ``times`` after the push began, which is in any physics
+step, are kept, when a trigger may first tell: later there is no time left, a fall takes 0.3 s. With ``times=null``, for a policy that
 kneels, it is the state at its own trigger, of all trials.
 """
 
@@ -86,7 +86,7 @@ def main(cfg: DictConfig) -> None:
             given_up |= now_kneels
         else:
             off = since_push[:, None] - torch.tensor(list(cfg.times)) + 0.5 * base.control_dt
-            kept = ((off > -1e-6) & (off < base.control_dt - 1e-6)).any(-1)
+            kept = ((off > -1e-6) & (off < base.control_dt - 1e-6)).any(-1) & (since_push > -1e-6)
         if not kept.any():
             continue
         remains = (cfg.duration - since_push).clamp_min(0.0)[:, None]

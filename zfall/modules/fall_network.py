@@ -73,7 +73,7 @@ def load_fall_network(path: str | None = None) -> FallNetwork:
     """The network of a file that ``recipes.trigger`` wrote.
 
     Args:
-        path: of the file, or the name of one that ships beside the robot's MJCF; ``None``:
+        path: of the file, or the name of one that ships in ``zfall/envs/assets``; ``None``:
             ``zeroth01_fall_network.pt``, which sees proprioception alone.
 
     Raises:

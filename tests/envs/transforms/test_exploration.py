@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.transforms.actions import JointPositionTarget
@@ -39,6 +40,15 @@ def test_it_is_standard_in_every_step_and_correlated_by_a_power_of_the_distance(
     apart, same = (step[:, None] - step).abs(), (step[:, None] // 6) == (step // 6)
     expected = torch.where(same, torch.tensor(correlation) ** apart, 0.0)
     torch.testing.assert_close(told, expected, rtol=0, atol=5 * (2 / 5120) ** 0.5)
+
+
+def test_worlds_that_go_on_keep_their_noise(make_base):
+    env = make_base(num_envs=3)
+    noise = CorrelatedNoise(env, correlation=0.9)
+    before = noise._call(TensorDict(batch_size=[3]))["exploration_noise"]
+    reset = TensorDict({"_reset": torch.tensor([[False], [True], [False]])}, [3])
+    after = noise._reset(reset, TensorDict(batch_size=[3]))["exploration_noise"]
+    assert (after == before).all(1).tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("correlation", [-0.1, 1.0])

@@ -82,7 +82,8 @@ def time_limit(env: HumanoidEnv, *, seconds: float, ends: bool = False) -> StepC
         seconds: how long an episode lasts.
         ends: whether it then terminates in place of being truncated: nothing after it counts.
             So it must where critics see ``step_count``: they never learn the value at the limit,
-            which a truncated episode would add to its last reward.
+            which a truncated episode would add to its last reward. It looks like a fall to who
+            counts those: name it in ``training_only``, and a curriculum's ``success``.
 
     Raises:
         ValueError: if that is not at least one control step.
