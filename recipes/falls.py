@@ -1,9 +1,9 @@
 """Records the midst of falls, from which kneeling is learned: ``python -m recipes.falls run=best``.
 
-A policy is pushed from all sides at some points by more than it withstands. Of every trial that
-ends on the floor the states nearest to some ``times`` after the push began, which is in any physics
-step, are kept, when a trigger may first tell: later there is no time left, a fall takes 0.3 s. With ``times=null``, for a policy that
-kneels, it is the state at its own trigger, of all trials.
+A policy is pushed from all sides at some points by more than it withstands, beginning in any
+physics step. Of every trial that ends on the floor the states nearest to some ``times`` after the
+push began are kept, when a trigger may first tell: later there is no time left, a fall takes 0.3 s.
+With ``times=null``, for a policy that kneels, it is the state at its own trigger, of all trials.
 """
 
 from pathlib import Path
