@@ -68,7 +68,8 @@ def switched(cfg: DictConfig) -> dict[str, Any]:
                 f"{name} must need no {key} besides action and observation to be switched, "
                 f"{cfg[name]} has transforms.{key}."
             )
-    own = ("kneel_reference", "mode") if "kneel" in names else ()  # recovering alone needs none
+    # What kneels brings these along, recovering alone needs none.
+    own = ("kneel_reference", "mode", "mirrored_falls") if "kneel" in names else ()
     for name in (*INTERFACE, *own):
         env_cfg.transforms[name] = last.transforms.get(name)
     env_cfg.transforms.mode.initial = "recover"

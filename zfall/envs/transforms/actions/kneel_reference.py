@@ -10,6 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.catches import load_catches
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.mirror import mirror_action
 from zfall.envs.rotations import turn_to_heading
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import per_world, reset_rows
@@ -27,10 +28,13 @@ class KneelReference(Transform):
     The posture is the robot's kneel until the center of mass moves faster than ``moving`` along
     the ground; then the movement begins that ``recipes.catches`` found for falls of the nearest
     heading and speed. For ``settle`` the choice is made anew, since a push may not be over. Left
-    and right have their own: what mirrors actions (``symmetry``) fits but roughly.
+    and right have their own: what mirrors actions (``symmetry``) fits but roughly. Where
+    ``MirroredFalls`` says so, movement and correction are the image of what they would be on the
+    other side.
 
     Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
-    sensing wrote it; changes ``target`` ``(N, J)`` [rad]. Comes after ``JointPositionTarget``.
+    sensing wrote it, and ``mirrored`` if there; changes ``target`` ``(N, J)`` [rad]. Comes after
+    ``JointPositionTarget``.
 
     Args:
         env: the base env.
@@ -79,6 +83,7 @@ class KneelReference(Transform):
         movements = self.catches.postures.flatten(0, 1)
         kneel = torch.tensor(robot.kneel_position).expand(1, movements.shape[1], -1)
         self.movements = torch.cat([movements, kneel])
+        self.image = mirror_action(robot, movements.shape[-1])
         self.none = len(movements)  # where the kneel stands, for who does not move yet
         self.register_buffer("way", env.stand_position.repeat(env.num_envs, 1))
         self.register_buffer("choice", torch.full((env.num_envs,), self.none))
@@ -96,6 +101,11 @@ class KneelReference(Transform):
         recover = mode[:, 0] > 0
         velocity = read_measured(tensordict, "com_velocity")[:, :2]
         x, y = turn_to_heading(read_measured(tensordict, "base_orientation"), velocity).unbind(-1)
+        correction = tensordict["target"] - self.stand
+        mirrored = tensordict.get("mirrored", None)
+        if mirrored is not None:
+            y = torch.where(mirrored[:, 0], -y, y)
+            correction = torch.where(mirrored, self.image(correction), correction)
         open_still = (self.choice == self.none) | (
             self.clock * self.control_dt < self.settle - 1e-6
         )
@@ -106,13 +116,16 @@ class KneelReference(Transform):
         clock = torch.where(waits, 0, self.clock)
         phase = torch.bucketize(clock * self.control_dt + 1e-6, self.catches.until, right=True)
         reach = torch.as_tensor(per_world(self.speed, 2)) * self.control_dt
-        further = self.movements[self.choice, phase] - self.way
+        posture = self.movements[self.choice, phase]
+        if mirrored is not None:
+            posture = torch.where(mirrored, self.image(posture), posture)
+        further = posture - self.way
         self.way = torch.where(
             recover[:, None], self.stand, self.way + further.clamp(-reach, reach)
         )
         self.clock = torch.where(waits, 0, clock + 1)
         share = (2.0 - clock * self.control_dt / self.landing).clamp(0.0, 1.0)[:, None]
-        target = self.way + share * (tensordict["target"] - self.stand)
+        target = self.way + share * correction
         return tensordict.set("target", torch.clamp(target, *self.range.unbind(-1)))
 
     def _reset(
