@@ -9,10 +9,10 @@ from recipes.one_line import check_keys
 from recipes.ranges import check_number, check_ranges
 
 KEYS = {
-    *("seed", "num_envs", "groups", "total_frames", "rollout_steps", "epochs", "minibatches"),
-    *("burn_in", "max_grad_norm", "averaging", "resume", "warm_start", "checkpoint_every"),
-    *("showcase", "env", "actor", "critic", "loss", "optimizer", "scheduler", "experiment"),
-    *("auxiliary_losses", "auxiliary_share", "augmentation"),
+    *("seed", "num_envs", "groups", "alike", "total_frames", "rollout_steps", "epochs"),
+    *("minibatches", "burn_in", "max_grad_norm", "averaging", "resume", "warm_start"),
+    *("checkpoint_every", "showcase", "env", "actor", "critic", "loss", "optimizer", "scheduler"),
+    *("experiment", "auxiliary_losses", "auxiliary_share", "augmentation"),
 }
 
 

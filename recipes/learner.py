@@ -20,7 +20,7 @@ from recipes.objective import ppo_loss
 from recipes.ranges import check_finite, check_ranges, check_task
 from recipes.worlds import Worlds
 from zfall.envs.model import identity_of
-from zfall.losses.advantage import RecurrentGAE
+from zfall.losses.advantage import RecurrentGAE, advantage_among_alike
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
@@ -42,7 +42,7 @@ class Learner:
         torch.manual_seed(cfg.seed)
         self.cfg = cfg
         self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups)
-        check_task(self.env)
+        check_task(self.env, cfg.alike)
         spec, action_spec = self.env.observation_spec, self.env.action_spec
         self.actor = instantiate(cfg.actor, spec, action_spec)
         self._average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))
@@ -187,6 +187,8 @@ class Learner:
         cfg = self.cfg
         with torch.no_grad(), set_recurrent_mode(True):
             self.advantage(batch)
+        if cfg.alike > 1:
+            batch["advantage"] = advantage_among_alike(batch["advantage"], cfg.alike)
         if cfg.loss.normalize_advantage == "batch":
             advantage = batch["advantage"]
             batch["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-6)

@@ -6,12 +6,12 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
-from torchrl.envs import EnvBase
+from torchrl.envs import TransformedEnv
 
 from recipes.one_line import check_keys
 from recipes.worlds import group_sizes
 
-_COUNTS = ("num_envs", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
+_COUNTS = ("num_envs", "alike", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 _TABLES = {
     "optimizer": "{_target_: torch.optim.Adam, lr: 5.0e-4}",
     "scheduler": "{_target_: torchrl.objectives.KLAdaptiveLR, ...}, or null",
@@ -26,12 +26,16 @@ _WRITTEN_BY = {  # what learning reads of every task
 }
 
 
-def check_task(env: EnvBase) -> None:
-    """Refuses an env that lacks what learning reads.
+def check_task(env: TransformedEnv, alike: int = 1) -> None:
+    """Refuses an env that lacks what learning reads, or does not begin ``alike`` worlds alike.
 
     Raises:
         ValueError: naming the key and a transform that brings it.
     """
+    if alike > 1 and all(getattr(t, "alike", 1) != alike for t in env.transform):
+        raise ValueError(
+            f"alike must be 1 unless env.transforms.falling begins worlds alike, got {alike}."
+        )
     specs = (env.observation_spec, env.full_reward_spec, env.full_action_spec)
     there = {key for spec in specs for key in spec.keys()}
     for key, transform in _WRITTEN_BY.items():
@@ -49,7 +53,12 @@ def check_ranges(cfg: DictConfig) -> None:
     check_whole(cfg, ("seed", "burn_in"))
     if cfg.groups is not None:
         check_whole(cfg, ("groups",), 1)
-    group_sizes(cfg.num_envs, cfg.groups)
+    for size in group_sizes(cfg.num_envs, cfg.groups):
+        if size % cfg.alike:
+            raise ValueError(
+                f"alike must divide the {size} worlds of each group (num_envs, groups), "
+                f"got {cfg.alike}."
+            )
     own = OmegaConf.select(cfg, "env.base_env.num_envs")
     if own is not None and own != cfg.num_envs:
         raise ValueError(f"env.base_env.num_envs must be left to num_envs, got {own}.")

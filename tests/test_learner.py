@@ -104,6 +104,30 @@ def plain_advantages(
     return expected
 
 
+def test_what_all_that_began_alike_gained_moves_the_policy_nowhere(compose_config, monkeypatch):
+    """Advantages that differ from one beginning to the other alone; compared by pairs, none is left."""
+
+    def advantages(batch):
+        gained = torch.randn(4, 1, 1).repeat_interleave(2, 0).expand(*batch.shape, 1)
+        value = torch.zeros_like(batch["next", "reward"])
+        batch.update({"advantage": gained.clone(), "value_target": value, "state_value": value})
+
+    falling = "{_target_: zfall.envs.transforms.starts.FallingStart, alike: 2, before: action}"
+    common = ["num_envs=8", "minibatches=1", "loss.normalize_advantage=null"]
+    moved = []
+    for alike in (1, 2):
+        learner = Learner(
+            compose_config(*common, f"alike={alike}", f"+env.transforms.falling={falling}")
+        )
+        monkeypatch.setattr(learner, "advantage", advantages)
+        before = [p.clone() for p in learner.actor.parameters()]
+        learner.learn(learner.collect())
+        pairs = zip(before, learner.actor.parameters(), strict=True)
+        moved.append(max((old - new).abs().max().item() for old, new in pairs))
+    assert moved[0] > 1e-4
+    assert moved[1] == 0.0
+
+
 @pytest.mark.parametrize("actor", ["gru_mog", "mlp_gaussian"])
 def test_values_and_advantages_of_a_recurrent_critic_are_those_of_a_plain_loop(
     compose_config, actor

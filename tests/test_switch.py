@@ -6,11 +6,14 @@ from omegaconf import OmegaConf
 from tests.shell import run
 from zfall import checkpoint
 
+MIRRORED = "{_target_: zfall.envs.transforms.mirroring.MirroredFalls}"
+
 
 def test_two_policies_are_switched_by_the_mode(tmp_path):
     common = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
     for seed, name in enumerate(("recover", "kneel")):
         own = [f"experiment=push_to_kneel_{name}", f"seed={seed}"]
+        own += [f"env.transforms.mirrored_falls={MIRRORED}"] if name == "kneel" else []
         done = run("train", *own, *common, f"hydra.run.dir={tmp_path}/{name}")
         assert done.returncode == 0, done.stderr
     both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
@@ -24,6 +27,7 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     config = OmegaConf.create(parts["both"]["config"])
     assert config.env.transforms.mode.probability == 0.9
     assert config.actor.begins  # as its episodes do
+    assert config.env.transforms.mirrored_falls == {"_target_": MIRRORED[11:-1]}
     mode = config.env.transforms.mode  # in training rest may be 2 m/s
     assert mode.rest_speed == mode.rest_joint_speed == 0.1
     for name in ("recover", "kneel"):

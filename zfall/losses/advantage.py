@@ -1,4 +1,4 @@
-"""Advantages when the critic has a memory."""
+"""Advantages when the critic has a memory, and beside worlds that began alike."""
 
 import torch
 from tensordict import TensorDictBase
@@ -45,3 +45,20 @@ class RecurrentGAE(GAE):
                 "state_value"
             ]
         return values
+
+
+def advantage_among_alike(advantage: Tensor, alike: int) -> Tensor:
+    """Advantages less the mean of those that the other worlds of the same start have at that time.
+
+    ``A_i - mean_{j != i} A_j``: what a fall costs depends on how it begins more than on what is
+    done about it, and much of that no critic learns to tell. The others' noise knows nothing of
+    one's own, so that this is a baseline like any other and leaves the policy gradient unbiased.
+
+    Args:
+        advantage: ``(N, T, 1)`` of worlds of which ``alike`` in a row began in the same state.
+        alike: how many, a divisor of N.
+
+    Source: Kool et al., "Buy 4 REINFORCE samples, get a baseline for free!", ICLR 2019 workshop.
+    """
+    groups = advantage.unflatten(0, (-1, alike))
+    return (groups - groups.mean(1, keepdim=True)).flatten(0, 1) * (alike / (alike - 1))

@@ -244,6 +244,20 @@ def test_falls_begin_as_recorded_and_the_others_stand(make_task):
     assert corners.abs().max() < 1e-3  # the others stand on the floor, whatever their noise
 
 
+def test_worlds_in_a_row_begin_alike(make_task):
+    """Ten worlds in threes: 0-2, 3-5, 6-8 and 9 alone; world 4, reset by itself, begins elsewhere."""
+    env = make_task({**ACTION, "falling": (FallingStart, {"alike": 3})}, num_envs=10)
+    env.set_seed(1)
+    td = env.reset()
+    joints = td["joint_velocity"].clone()
+    same = (joints[:, None] == joints).all(-1)
+    group = torch.arange(10) // 3
+    assert torch.equal(same, group[:, None] == group)
+    td["_reset"] = torch.arange(10)[:, None] == 4
+    again = env.reset(td)["joint_velocity"]
+    assert (again != joints).any(1).nonzero().tolist() == [[4]]
+
+
 def test_each_world_may_have_its_own_share_of_falls(make_base):
     falling = FallingStart(make_base(num_envs=40))
     falling.share = torch.arange(40) % 2  # as a curriculum would set it
@@ -320,3 +334,5 @@ def test_a_missing_bank_of_falls_is_refused(make_base):
         FallingStart(make_base(), bank="nowhere.npz")
     with pytest.raises(ValueError, match="share must lie in"):
         FallingStart(make_base(), share=0.0)
+    with pytest.raises(ValueError, match="alike must be at least 1, got 0"):
+        FallingStart(make_base(), alike=0)

@@ -194,10 +194,11 @@ class FallingStart(Transform):
             of the bank must have been (``recipes.falls 'points=[torso]'``); ``falling_impulse``
             ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force``
             ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too.
+        alike: worlds in a row that begin in the same state, if they begin in the same step.
 
     Raises:
         ValueError: if the file is missing, is of another robot or lacks pushes that are to go on,
-            or the share is not in (0, 1].
+            the share is not in (0, 1], or ``alike`` is less than 1.
     """
 
     force: Tensor
@@ -210,8 +211,11 @@ class FallingStart(Transform):
         bank: str | None = None,
         share: float = 1.0,
         pushed: bool = False,
+        alike: int = 1,
     ):
         super().__init__()
+        if alike < 1:
+            raise ValueError(f"alike must be at least 1, got {alike}.")
         if not 0 < share <= 1:
             raise ValueError(f"share must lie in (0, 1], got {share}.")
         if pushed and bank is None:
@@ -234,7 +238,8 @@ class FallingStart(Transform):
             states = {key: torch.from_numpy(file[key]).float() for key in (*STATE_KEYS, *rest)}
         if states["joint_position"].shape[1] != len(env.stand_position):
             raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
-        self.share, self.pushed, self.num_envs, self.rng = share, pushed, env.num_envs, env.rng
+        self.share, self.pushed, self.alike = share, pushed, alike
+        self.num_envs, self.rng = env.num_envs, env.rng
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
@@ -255,8 +260,12 @@ class FallingStart(Transform):
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
         # All rows are drawn, so that the random stream does not depend on who fell.
-        row = torch.randint(len(self.table), (self.num_envs,), generator=self.rng)
-        falls = torch.rand(self.num_envs, 1, generator=self.rng) < per_world(self.share, 2)
+        count = -(-self.num_envs // self.alike)
+        row = torch.randint(len(self.table), (count,), generator=self.rng)
+        chance = torch.rand(count, 1, generator=self.rng)
+        siblings = torch.arange(self.num_envs) // self.alike
+        row, chance = row[siblings], chance[siblings]
+        falls = chance < per_world(self.share, 2)
         drawn = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
         values = dict(zip(self.sizes, drawn, strict=True))
         if self.pushed:
