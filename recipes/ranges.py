@@ -10,6 +10,7 @@ from torchrl.envs import TransformedEnv
 
 from recipes.one_line import check_keys
 from recipes.worlds import group_sizes
+from zfall.envs.transforms.starts import FallingStart
 
 _COUNTS = ("num_envs", "alike", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 _TABLES = {
@@ -27,14 +28,16 @@ _WRITTEN_BY = {  # what learning reads of every task
 
 
 def check_task(env: TransformedEnv, alike: int = 1) -> None:
-    """Refuses an env that lacks what learning reads, or does not begin ``alike`` worlds alike.
+    """Refuses an env that lacks what learning reads, or begins another number of worlds alike.
 
     Raises:
         ValueError: naming the key and a transform that brings it.
     """
-    if alike > 1 and all(getattr(t, "alike", 1) != alike for t in env.transform):
+    begins = next((t.alike for t in env.transform if isinstance(t, FallingStart)), 1)
+    if alike != begins:
         raise ValueError(
-            f"alike must be 1 unless env.transforms.falling begins worlds alike, got {alike}."
+            f"alike must be env.transforms.falling.alike, here {begins} (1 without one), "
+            f"got {alike}."
         )
     specs = (env.observation_spec, env.full_reward_spec, env.full_action_spec)
     there = {key for spec in specs for key in spec.keys()}

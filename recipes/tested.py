@@ -162,7 +162,10 @@ def held(env_cfg: DictConfig) -> DictConfig:
     """The env's config for a baseline that does nothing: with modes it would kneel by script."""
     if env_cfg.transforms.get("kneel_reference") is None:
         return env_cfg
-    return changed(env_cfg, ["transforms.kneel_reference=null"])
+    alone = ["transforms.kneel_reference=null"]
+    if env_cfg.transforms.get("mirrored_falls") is not None:  # it works with the one above
+        alone += ["transforms.mirrored_falls=null"]
+    return changed(env_cfg, alone)
 
 
 INTERFACE = ("action", "observation")  # transforms by which a policy acts and sees

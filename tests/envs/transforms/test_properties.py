@@ -171,13 +171,14 @@ TABLE = {  # in the order of a yaml
         "measured": True,
         "keys": [*IMU, "joint_position", "joint_velocity"],
     },
-    "near": {"_target_": f"{_SENSING}.CAPSNeighbours", "sigma": 0.1},
     "normalized": {
         "_target_": f"{_SENSING}.NormalizedVector",
         "out_key": "observation_critic",
         "keys": ["joint_position", "base_position"],
         "ranges": {"joint_position": "joint_range", "base_position": [0.0, 2.0]},
     },
+    "mirrored_falls": {"_target_": "zfall.envs.transforms.mirroring.MirroredFalls"},
+    "near": {"_target_": f"{_SENSING}.CAPSNeighbours", "sigma": 0.1},
 }
 TABLES = st.tuples(
     st.sampled_from(list(TARGETS)),
@@ -194,7 +195,9 @@ def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
     if "curriculum" in names:
         names = names | {"start"}
     if target == "velocity":
-        names = names - {"kneel_reference"}  # changes position targets alone
+        names = names - {"kneel_reference", "mirrored_falls"}  # change position targets alone
+    if "mirrored_falls" in names:
+        names = names | {"kneel_reference"}
     if names & {"stable", "kneel_reference"}:
         names = names | {"mode"}
     if "zero" in names:

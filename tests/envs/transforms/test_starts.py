@@ -334,5 +334,5 @@ def test_a_missing_bank_of_falls_is_refused(make_base):
         FallingStart(make_base(), bank="nowhere.npz")
     with pytest.raises(ValueError, match="share must lie in"):
         FallingStart(make_base(), share=0.0)
-    with pytest.raises(ValueError, match="alike must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="alike must be a whole number, at least 1, got 0"):
         FallingStart(make_base(), alike=0)

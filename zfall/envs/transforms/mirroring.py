@@ -11,13 +11,15 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.mirror import Mirror, mirror_vector
 from zfall.envs.rotations import turn_to_heading
+from zfall.envs.transforms.actions import KneelReference
 from zfall.envs.transforms.modes import RECOVER
-from zfall.envs.transforms.observations import NormalizedVector, ObservationVector
+from zfall.envs.transforms.observations import (
+    CAPSNeighbours,
+    NormalizedVector,
+    ObservationVector,
+)
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.observations.vector import vector_spans
-from zfall.envs.transforms.values import reset_rows
-
-Vector = ObservationVector | NormalizedVector
 
 
 class MirroredFalls(Transform):
@@ -25,67 +27,90 @@ class MirroredFalls(Transform):
 
     To which side a world falls is decided by the velocity of its center of mass, in the robot's
     heading, in the step in which it leaves mode RECOVER, and holds until it recovers again or the
-    episode ends. If to the left, what policy and critic see is reflected at the robot's plane of
-    symmetry, and ``KneelReference`` reflects what the policy does, along with its own movement.
-    The policy is then as good on both sides, and learns from twice as many falls.
+    episode ends; an episode that begins in another mode has to begin in a fall. If to the left,
+    what policy and critic see is reflected, left and right as well as the y axis of the world,
+    and ``KneelReference`` reflects what the policy does, along with its own movement. The policy
+    so learns from twice as many falls, as far as the robot is symmetric: angles that the arm on
+    the other side cannot take are cut to its range.
 
     Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
-    sensing wrote it; writes ``mirrored`` ``(N, 1)`` bool and changes what the ``ObservationVector``
-    and ``NormalizedVector`` of the table wrote. Comes after all of these.
+    sensing wrote it; writes ``fall_mirrored`` ``(N, 1)`` bool and changes what the
+    ``ObservationVector`` and ``NormalizedVector`` of the table wrote. Comes after all of these.
 
     Args:
         env: the base env.
 
     Raises:
-        ValueError: if it comes before one of those vectors, or a quantity has no known image.
+        ValueError: without a ``KneelReference`` or a mode, if it is out of order, or if an
+            observation holds a quantity without a known image, or actions, which are those of the
+            reflected world already.
     """
 
-    falls: Tensor
-    mirrored: Tensor
+    measured = ("base_orientation", "com_velocity")
 
     def __init__(self, env: HumanoidEnv):
-        super().__init__(in_keys=["mode"], out_keys=["mirrored"])
+        super().__init__(in_keys=["mode"], out_keys=["fall_mirrored"])
         self.robot, self.joint_range = env.robot, env.joint_range
-        self.vectors: dict[str, Vector] = {}
+        self.vectors: dict[str, ObservationVector | NormalizedVector] = {}
         self.images: dict[str, Mirror] = {}
-        for name in ("falls", "mirrored"):
-            self.register_buffer(name, torch.zeros(env.num_envs, dtype=torch.bool))
 
     def attach(self, transforms: Mapping[str, Transform]) -> None:
-        """Finds the vectors of the table."""
-        self.vectors = {name: t for name, t in transforms.items() if isinstance(t, Vector)}
+        """Finds the vectors of the table, and lets its ``KneelReference`` know."""
+        own = next(name for name, t in transforms.items() if t is self)
+        references = [t for t in transforms.values() if isinstance(t, KneelReference)]
+        if not references:
+            raise ValueError(
+                f"transforms.{own} needs a KneelReference, which reflects what the policy does."
+            )
+        references[0].mirrored = True
+        names = list(transforms)
+        for name, transform in transforms.items():
+            before = names.index(name) < names.index(own)
+            if isinstance(transform, ObservationVector | NormalizedVector):
+                self.vectors[name] = transform
+                if not before:
+                    raise ValueError(f"transforms.{own} must come after {name}, to reflect it.")
+            if isinstance(transform, CAPSNeighbours) and before:
+                raise ValueError(f"transforms.{own} must come before {name}, which is to be close.")
 
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._reflect(next_tensordict, torch.ones_like(self.falls))
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        fell = tensordict["mode"][:, RECOVER, None] == 0
+        left = torch.where(fell, tensordict["fall_mirrored"], _to_the_left(next_tensordict))
+        return self._reflect(next_tensordict, left)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
-        self.falls = self.falls & ~rows
-        return self._reflect(tensordict_reset, rows)
+        return self._reflect(tensordict_reset, _to_the_left(tensordict_reset))
 
-    def _reflect(self, tensordict: TensorDictBase, rows: Tensor) -> TensorDictBase:
-        falls = tensordict["mode"][:, RECOVER] == 0
-        velocity = read_measured(tensordict, "com_velocity")[:, :2]
-        left = turn_to_heading(read_measured(tensordict, "base_orientation"), velocity)[:, 1] > 0
-        mirrored = torch.where(self.falls, self.mirrored, left) & falls
-        self.mirrored = torch.where(rows, mirrored, self.mirrored)
-        self.falls = torch.where(rows, falls, self.falls)
+    def _reflect(self, tensordict: TensorDictBase, left: Tensor) -> TensorDictBase:
+        mirrored = left & (tensordict["mode"][:, RECOVER, None] == 0)
         for key, image in self.images.items():
             vector = tensordict[key]
-            tensordict[key] = torch.where(self.mirrored[:, None], image(vector), vector)
-        return tensordict.set("mirrored", self.mirrored[:, None])
+            tensordict[key] = torch.where(mirrored, image(vector), vector)
+        return tensordict.set("fall_mirrored", mirrored)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        if "mode" not in observation_spec.keys():
+            raise ValueError("MirroredFalls needs the key mode: put a ModeMachine before it.")
         for name, vector in self.vectors.items():
-            (key,) = vector.out_keys
-            if key not in observation_spec.keys():
+            actions = [key for key in vector.keys if key in ("action", "last_action")]
+            if actions:
                 raise ValueError(
-                    f"MirroredFalls must come after transforms.{name}, which it reflects."
+                    f"transforms.{name}.keys must hold no actions with MirroredFalls, which the "
+                    f"policy gave in the reflected world, got {actions[0]}."
                 )
             spans = vector_spans(observation_spec, vector.keys)
             affine = getattr(vector, "affine", None)
+            (key,) = vector.out_keys
             self.images[key] = mirror_vector(self.robot, spans, self.joint_range, affine)
-        observation_spec["mirrored"] = Binary(shape=(*observation_spec.shape, 1), dtype=torch.bool)
+        shape = (*observation_spec.shape, 1)
+        observation_spec["fall_mirrored"] = Binary(shape=shape, dtype=torch.bool)
         return observation_spec
+
+
+def _to_the_left(tensordict: TensorDictBase) -> Tensor:
+    """Whether worlds move to the left of where they face ``(N, 1)`` bool."""
+    velocity = read_measured(tensordict, "com_velocity")[:, :2]
+    orientation = read_measured(tensordict, "base_orientation")
+    return turn_to_heading(orientation, velocity)[:, 1:] > 0

@@ -198,7 +198,7 @@ class FallingStart(Transform):
 
     Raises:
         ValueError: if the file is missing, is of another robot or lacks pushes that are to go on,
-            the share is not in (0, 1], or ``alike`` is less than 1.
+            the share is not in (0, 1], or ``alike`` is no number of worlds.
     """
 
     force: Tensor
@@ -214,8 +214,8 @@ class FallingStart(Transform):
         alike: int = 1,
     ):
         super().__init__()
-        if alike < 1:
-            raise ValueError(f"alike must be at least 1, got {alike}.")
+        if type(alike) is not int or alike < 1:
+            raise ValueError(f"alike must be a whole number, at least 1, got {alike}.")
         if not 0 < share <= 1:
             raise ValueError(f"share must lie in (0, 1], got {share}.")
         if pushed and bank is None:

@@ -10,7 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.catches import load_catches
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.mirror import mirror_action
+from zfall.envs.mirror import mirror_quantity
 from zfall.envs.rotations import turn_to_heading
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import per_world, reset_rows
@@ -33,8 +33,8 @@ class KneelReference(Transform):
     other side.
 
     Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
-    sensing wrote it, and ``mirrored`` if there; changes ``target`` ``(N, J)`` [rad]. Comes after
-    ``JointPositionTarget``.
+    sensing wrote it, and what ``MirroredFalls`` writes if that is in the table; changes ``target``
+    ``(N, J)`` [rad]. Comes after ``JointPositionTarget``.
 
     Args:
         env: the base env.
@@ -80,14 +80,20 @@ class KneelReference(Transform):
             env.joint_range,
         )
         self.catches = load_catches(robot, None if catches is None else Path(catches))
+        index, sign = mirror_quantity(robot, "target")
+        self.mirror_index, self.mirror_sign = list(index), torch.tensor(sign)
+        self.mirrored = False  # MirroredFalls sets it
         movements = self.catches.postures.flatten(0, 1)
         kneel = torch.tensor(robot.kneel_position).expand(1, movements.shape[1], -1)
-        self.movements = torch.cat([movements, kneel])
-        self.image = mirror_action(robot, movements.shape[-1])
-        self.none = len(movements)  # where the kneel stands, for who does not move yet
+        movements = torch.cat([movements, kneel])
+        self.movements = torch.stack([movements, self._image(movements)])  # by the side
+        self.none = len(movements) - 1  # where the kneel stands, for who does not move yet
         self.register_buffer("way", env.stand_position.repeat(env.num_envs, 1))
         self.register_buffer("choice", torch.full((env.num_envs,), self.none))
         self.register_buffer("clock", torch.zeros(env.num_envs, dtype=torch.long))  # [steps]
+
+    def _image(self, angles: Tensor) -> Tensor:
+        return angles[..., self.mirror_index] * self.mirror_sign
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         mode = tensordict.get("mode", None)
@@ -102,10 +108,12 @@ class KneelReference(Transform):
         velocity = read_measured(tensordict, "com_velocity")[:, :2]
         x, y = turn_to_heading(read_measured(tensordict, "base_orientation"), velocity).unbind(-1)
         correction = tensordict["target"] - self.stand
-        mirrored = tensordict.get("mirrored", None)
-        if mirrored is not None:
+        side: Tensor | int = 0
+        if self.mirrored:
+            mirrored = tensordict["fall_mirrored"]
+            side = mirrored[:, 0].long()
             y = torch.where(mirrored[:, 0], -y, y)
-            correction = torch.where(mirrored, self.image(correction), correction)
+            correction = torch.where(mirrored, self._image(correction), correction)
         open_still = (self.choice == self.none) | (
             self.clock * self.control_dt < self.settle - 1e-6
         )
@@ -116,10 +124,7 @@ class KneelReference(Transform):
         clock = torch.where(waits, 0, self.clock)
         phase = torch.bucketize(clock * self.control_dt + 1e-6, self.catches.until, right=True)
         reach = torch.as_tensor(per_world(self.speed, 2)) * self.control_dt
-        posture = self.movements[self.choice, phase]
-        if mirrored is not None:
-            posture = torch.where(mirrored, self.image(posture), posture)
-        further = posture - self.way
+        further = self.movements[side, self.choice, phase] - self.way
         self.way = torch.where(
             recover[:, None], self.stand, self.way + further.clamp(-reach, reach)
         )
