@@ -21,7 +21,7 @@ _SIGNS: dict[str, tuple[float, ...]] = {
         ("base_height", "base_acceleration_peak", "joint_torque_peak", "params/foot_friction"),
         (1.0,),
     ),
-    **dict.fromkeys(("base_acceleration_max", "step_count"), (1.0,)),
+    **dict.fromkeys(("base_acceleration_max", "falling_speed", "step_count"), (1.0,)),
     "mode": (1.0, 1.0, 1.0),
     "params/slope": (1.0, -1.0),
     "command": tuple(-1.0 if name in ("vy", "yaw", "roll") else 1.0 for name in ENTRIES),

@@ -129,6 +129,20 @@ def test_a_term_counts_in_its_mode_alone():
     assert ends[:, 0].tolist() == [False, True, False]
 
 
+def test_a_term_counts_in_slow_falls_alone():
+    td = TensorDict(
+        {
+            "falling_speed": torch.tensor([[2.3], [2.4], [5.0]]),
+            "contact_force_max": torch.zeros(3, R),
+        },
+        batch_size=[3],
+    )
+    after = td.clone().set("contact_force_max", torch.ones(3, R))
+    touch = partial(kneel.first_touch, names=["torso", "head"])
+    term = bind(partial(kneel.in_slow_fall, below=2.4, term=touch), robot=ZEROTH01)
+    assert term(td, after)[:, 0].tolist() == [1.0, 0.0, 0.0]
+
+
 def test_entering_a_mode_counts_once():
     before = TensorDict({"mode": torch.eye(3)[[1, 2, 0]]}, batch_size=[3])
     after = TensorDict({"mode": torch.eye(3)[[2, 2, 1]]}, batch_size=[3])

@@ -300,6 +300,9 @@ def test_what_is_left_of_a_push_goes_on_and_moves_the_robot_by_its_impulse(pushe
             torso = impulse[:, env.base_env.push_targets["torso"], :3]
             assert_close(torso, force * 0.04)
             assert_close(impulse.abs().sum((1, 2)), torso.abs().sum(1))
+    ground = td["linear_momentum"][:, :2].norm(dim=-1, keepdim=True) / env.base_env.mass
+    assert_close(td["falling_speed"], ground, atol=0.02, rtol=0)  # as said in the beginning
+    assert ground.std() > 0.1
 
 
 def test_a_partial_reset_leaves_the_pushes_of_the_others(pushed_falls):
@@ -307,15 +310,18 @@ def test_a_partial_reset_leaves_the_pushes_of_the_others(pushed_falls):
     td = env.reset()
     td = env.step(td.set("action", torch.zeros(64, 20)))["next"]
     force, left = falling.force.clone(), falling.left.clone()
+    speed = td["falling_speed"].clone()
     assert_close(left[left > 0], torch.full_like(left[left > 0], 0.012))
     new = torch.arange(64) % 2 == 0
     saved = falling.state_dict()
-    env.reset(td.set("_reset", new[:, None]))
+    after = env.reset(td.set("_reset", new[:, None]))
+    assert torch.equal(after["falling_speed"][~new], speed[~new])
+    assert not torch.equal(after["falling_speed"][new], speed[new])
     assert torch.equal(falling.force[~new], force[~new])
     assert torch.equal(falling.left[~new], left[~new])
     assert {round(x, 3) for x in falling.left[new, 0].tolist()} == {0.0, 0.052}
     assert (falling.left[new & (left[:, 0] > 0)] == 0).any()
-    assert sorted(saved) == ["force", "left"]  # a resumed run goes on pushing
+    assert sorted(saved) == ["force", "left", "speed"]  # a resumed run goes on pushing
 
 
 def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):

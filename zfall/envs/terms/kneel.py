@@ -70,6 +70,22 @@ def in_mode(
     return torch.where(td["mode"][..., mode : mode + 1] > 0, value, torch.zeros_like(value))
 
 
+def in_slow_fall(
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    below: float,
+    term: Callable[..., Tensor],
+) -> Tensor:
+    """The value of another term in falls slower than ``below`` [m/s], 0 (or false) in the others.
+
+    Reads ``falling_speed`` ``(*B, 1)`` [m/s], of ``FallingStart``, and what the term reads. Returns
+    ``(*B, 1)``.
+    """
+    value = term(td, next_td)
+    return torch.where(next_td["falling_speed"] < below, value, torch.zeros_like(value))
+
+
 def com_lowering(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -> Tensor:
     """Share of the way down from standing to two thirds of it, ``clip(3 (1 - z / h0), 0, 1)``.
 

@@ -193,7 +193,9 @@ class FallingStart(Transform):
         pushed: whether what is left of a push at that moment goes on, at the torso, where those
             of the bank must have been (``recipes.falls 'points=[torso]'``); ``falling_impulse``
             ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force``
-            ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too.
+            ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too. ``falling_speed``
+            ``(N, 1)`` [m/s] is how fast the center of mass will move along the ground once all of
+            the push has acted, reckoned at the begin of the episode.
         alike: worlds in a row that begin in the same state, if they begin in the same step.
 
     Raises:
@@ -255,6 +257,8 @@ class FallingStart(Transform):
         self.number = torch.arange(env.substeps)
         self.register_buffer("force", torch.zeros(env.num_envs, 3))
         self.register_buffer("left", torch.zeros(env.num_envs, 1))
+        self.mass = env.mass
+        self.register_buffer("speed", torch.zeros(env.num_envs, 1))
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
@@ -283,16 +287,22 @@ class FallingStart(Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         if self.pushed:
             next_tensordict.set("falling_impulse", self.force * self.left)
+            next_tensordict.set("falling_speed", self.speed)
         return next_tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        if self.pushed:
+            gained = self.force * self.left / self.mass
+            speed = (tensordict_reset["com_velocity"] + gained)[:, :2].norm(dim=-1, keepdim=True)
+            self.speed = torch.where(reset_rows(tensordict)[:, None], speed, self.speed)
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         if self.pushed:
             observation_spec["falling_impulse"] = Unbounded((*observation_spec.shape, 3))
+            observation_spec["falling_speed"] = Unbounded((*observation_spec.shape, 1))
         return observation_spec
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
