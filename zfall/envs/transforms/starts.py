@@ -205,6 +205,7 @@ class FallingStart(Transform):
 
     force: Tensor
     left: Tensor
+    speed: Tensor
 
     def __init__(
         self,
