@@ -141,6 +141,7 @@ def test_a_term_counts_in_slow_falls_alone():
     touch = partial(kneel.first_touch, names=["torso", "head"])
     term = bind(partial(kneel.in_slow_fall, below=2.4, term=touch), robot=ZEROTH01)
     assert term(td, after)[:, 0].tolist() == [1.0, 0.0, 0.0]
+    assert term(td, after.exclude("falling_speed"))[:, 0].tolist() == [1.0, 1.0, 1.0]
 
 
 def test_entering_a_mode_counts_once():

@@ -79,11 +79,11 @@ def in_slow_fall(
 ) -> Tensor:
     """The value of another term in falls slower than ``below`` [m/s], 0 (or false) in the others.
 
-    Reads ``falling_speed`` ``(*B, 1)`` [m/s], of ``FallingStart``, and what the term reads. Returns
-    ``(*B, 1)``.
+    Reads ``falling_speed`` ``(*B, 1)`` [m/s], of ``FallingStart``, and what the term reads; where
+    no episode begins in a fall and it is not there, the term counts. Returns ``(*B, 1)``.
     """
-    value = term(td, next_td)
-    return torch.where(next_td["falling_speed"] < below, value, torch.zeros_like(value))
+    value, speed = term(td, next_td), next_td.get("falling_speed", None)
+    return value if speed is None else torch.where(speed < below, value, torch.zeros_like(value))
 
 
 def com_lowering(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -> Tensor:
