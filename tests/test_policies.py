@@ -5,6 +5,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.envs.utils import step_mdp
 from torchrl.modules.utils import get_primers_from_module
 
 from recipes.tested import POLICIES, load_run
@@ -40,3 +41,18 @@ def test_the_network_of_the_report_is_the_one_that_ships(compose_config):
     trained = DictConfig(OmegaConf.create(content["config"])).actor
     trained.residual = False  # there was none
     assert trained == compose_config("experiment=zeroth_fall_laptop").actor
+
+
+def test_kneel_soft_catches_a_fall_to_the_left_in_a_mirror():
+    """Two worlds, kicked to the left and to the right by 2.5 m/s: both give up, one mirrored."""
+    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), "kneel_soft")
+    env = instantiate(env_cfg, base_env={"num_envs": 2}, training=False)
+    env.set_seed(0)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = step_mdp(env.rollout(10, actor)[:, -1])
+        assert not td["fall_mirrored"].any()
+        env.base_env.simulation.qvel[:, 1] += torch.tensor([2.5, -2.5])
+        for _ in range(20):
+            td = step_mdp(env.step(actor(td)))
+    assert (td["mode"][:, 0] == 0).all()
+    assert td["fall_mirrored"][:, 0].tolist() == [True, False]
