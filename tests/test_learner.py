@@ -112,12 +112,12 @@ def test_what_all_that_began_alike_gained_moves_the_policy_nowhere(compose_confi
         value = torch.zeros_like(batch["next", "reward"])
         batch.update({"advantage": gained.clone(), "value_target": value, "state_value": value})
 
-    falling = "{_target_: zfall.envs.transforms.starts.FallingStart, alike: 2, before: action}"
+    falling = "{_target_: zfall.envs.transforms.starts.FallingStart, before: action, alike: "
     common = ["num_envs=8", "minibatches=1", "loss.normalize_advantage=null"]
     moved = []
     for alike in (1, 2):
         learner = Learner(
-            compose_config(*common, f"alike={alike}", f"+env.transforms.falling={falling}")
+            compose_config(*common, f"alike={alike}", f"+env.transforms.falling={falling}{alike}}}")
         )
         monkeypatch.setattr(learner, "advantage", advantages)
         before = [p.clone() for p in learner.actor.parameters()]

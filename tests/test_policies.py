@@ -31,7 +31,7 @@ def test_best_gru_is_configured_as_it_was_trained(compose_config):
     content = checkpoint.load(POLICIES / "best_gru.pt")
     cfg = compose_config("experiment=best_gru", "showcase=null")
     trained = DictConfig(OmegaConf.create(content["config"]))
-    trained.groups, trained.actor.residual = None, False  # there were none
+    trained.groups, trained.alike, trained.actor.residual = None, 1, False  # there were none
     trained.optimizer.fused = True  # it was plain Adam, the same update in more steps
     assert trained == cfg
 
