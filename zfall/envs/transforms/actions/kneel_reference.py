@@ -81,7 +81,7 @@ class KneelReference(Transform):
         )
         self.catches = load_catches(robot, None if catches is None else Path(catches))
         index, sign = mirror_quantity(robot, "target")
-        self.mirror_index, self.mirror_sign = list(index), torch.tensor(sign)
+        self.mirror_index, self.mirror_sign = torch.tensor(index), torch.tensor(sign)
         self.mirrored = False  # MirroredFalls sets it
         movements = self.catches.postures.flatten(0, 1)
         kneel = torch.tensor(robot.kneel_position).expand(1, movements.shape[1], -1)
