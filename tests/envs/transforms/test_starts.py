@@ -317,6 +317,7 @@ def test_a_partial_reset_leaves_the_pushes_of_the_others(pushed_falls):
     after = env.reset(td.set("_reset", new[:, None]))
     assert torch.equal(after["falling_speed"][~new], speed[~new])
     assert not torch.equal(after["falling_speed"][new], speed[new])
+    assert torch.equal(falling.speed[~new], speed[~new])  # what later steps will say
     assert torch.equal(falling.force[~new], force[~new])
     assert torch.equal(falling.left[~new], left[~new])
     assert {round(x, 3) for x in falling.left[new, 0].tolist()} == {0.0, 0.052}
