@@ -21,6 +21,7 @@ from recipes.tested import load_run
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.modes import KNEEL
+from zfall.envs.transforms.starts import SEEN_KEYS
 from zfall.evaluation.battery import arrange, battery_env, play, robot_of
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
 
@@ -41,7 +42,8 @@ KEYS = {
 def main(cfg: DictConfig) -> None:
     """Writes ``falls.npz``: arrays ``(K, ...)`` float32 by the names of ``STATE_KEYS``.
 
-    ``push_force`` ``(K, 3)`` [N; world] goes on for ``push_left`` ``(K, 1)`` [s].
+    ``push_force`` ``(K, 3)`` [N; world] goes on for ``push_left`` ``(K, 1)`` [s]. By the names of
+    ``SEEN_KEYS`` there is what the policy saw then and no state tells.
     """
     console = Console()
     with one_line_errors():
@@ -73,6 +75,7 @@ def main(cfg: DictConfig) -> None:
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     steps = round(battery.end_time / base.control_dt)
     fell, moments = torch.zeros(base.num_envs, dtype=torch.bool), []
+    keys = (*STATE_KEYS, *SEEN_KEYS)
     given_up = torch.zeros_like(fell)  # by the mode machine
     force = torch.from_numpy(trials["force_n"].to_numpy()[rows]).float()
     heading = torch.from_numpy(trials["direction_rad"].to_numpy()[rows]).float()
@@ -90,9 +93,8 @@ def main(cfg: DictConfig) -> None:
         if not kept.any():
             continue
         remains = (cfg.duration - since_push).clamp_min(0.0)[:, None]
-        state = torch.cat(
-            [*(td[key] for key in STATE_KEYS), pushing * (remains > 1e-6), remains], -1
-        )
+        seen = [td[key].flatten(1) for key in keys]
+        state = torch.cat([*seen, pushing * (remains > 1e-6), remains], -1)
         moments.append(torch.where((kept & ~fell)[:, None], state, torch.nan))
     if not moments:
         raise SystemExit("error: no state was recorded: no push made it give up, or no times fit.")
@@ -101,9 +103,9 @@ def main(cfg: DictConfig) -> None:
         states = states[fell[: len(trials)]]
     table = states.flatten(0, 1)
     table = table[~table.isnan().any(-1)]
-    sizes = [td[key].shape[-1] for key in STATE_KEYS]
+    sizes = [td[key][0].numel() for key in keys]
     parts = table.split([*sizes, 3, 1], -1)
-    arrays = dict(zip((*STATE_KEYS, "push_force", "push_left"), parts, strict=True))
+    arrays = dict(zip((*keys, "push_force", "push_left"), parts, strict=True))
     arrays["base_position"][:, :2] = 0.0
     path = Path(HydraConfig.get().runtime.output_dir) / "falls.npz"
     np.savez_compressed(path, **{key: value.numpy() for key, value in arrays.items()})

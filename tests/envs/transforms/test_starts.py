@@ -325,6 +325,39 @@ def test_a_partial_reset_leaves_the_pushes_of_the_others(pushed_falls):
     assert sorted(saved) == ["force", "left", "speed"]  # a resumed run goes on pushing
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_what_was_seen_in_a_fall_is_seen_again(make_task, tmp_path, share):
+    """Target, force and velocity are of the bank in falls, of the reset in worlds that stand."""
+    bank = tmp_path / "falls.npz"
+    seen = {
+        "target": np.linspace(-0.1, 0.1, 40, dtype="f4").reshape(2, 20),
+        "feet_force": np.arange(12, dtype="f4").reshape(2, 6),
+        "com_velocity": np.array([[0.7, 0.0, 0.0], [0.8, 0.0, 0.0]], "f4"),
+    }
+    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+        np.savez(bank, **{key: file[key][:2] for key in STATE_KEYS}, **seen)
+    env = make_task(
+        {**ACTION, "falling": (FallingStart, {"bank": str(bank), "share": share})}, num_envs=64
+    )
+    env.set_seed(0)
+    td = env.reset().clone()
+    fallen = td["base_linear_velocity"].norm(dim=-1) > 0
+    assert fallen.all() if share == 1.0 else 16 < fallen.sum() < 48
+    row = (td["com_velocity"][:, 0] > 0.75).long()
+    assert 0 < row[fallen].sum() < fallen.sum()
+    for key, values in seen.items():
+        was = torch.from_numpy(values)[row].view_as(td[key])
+        assert torch.equal(td[key][fallen], was[fallen])
+    stand = torch.tensor(ZEROTH01.stand_position)
+    assert_close(td["target"][~fallen], stand.expand(int((~fallen).sum()), -1))
+    assert (td["com_velocity"][~fallen].abs() < 1e-6).all()
+    new = torch.arange(64) % 2 == 0
+    td["com_velocity"][:] = 3.0
+    after = env.reset(td.set("_reset", new[:, None]))
+    assert (after["com_velocity"][~new] == 3.0).all()
+    assert (after["com_velocity"][new] < 1.0).all()
+
+
 def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):
     bank = tmp_path / "falls.npz"
     with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:

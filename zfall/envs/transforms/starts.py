@@ -15,6 +15,8 @@ from zfall.envs.motions import load_motions
 from zfall.envs.rotations import rotate, turned
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 
+SEEN_KEYS = ("target", "feet_force", "com_velocity")  # what a policy sees, new at every reset
+
 
 class NoisyStart(Transform):
     """Starts episodes in the standing pose with Gaussian noise, over the floor or on it.
@@ -185,6 +187,10 @@ class FallingStart(Transform):
 
     Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
     others begin as what comes before it in the table says. ``python -m recipes.falls`` records.
+    Of these worlds it also writes what was seen then, ``SEEN_KEYS``, if the bank has them, since
+    no state tells: the target that the servos had, which a reset takes to be the reference, the
+    forces on the feet, which depend on it and on the push, and the velocity of the center of
+    mass, which sensors tell of the begin of a physics step. It comes before sensing.
 
     Args:
         env: the base env.
@@ -238,13 +244,17 @@ class FallingStart(Transform):
                     f"bank must be a file that recipes.falls wrote, {path} lacks {lacking[0]}: "
                     "record it again."
                 )
-            states = {key: torch.from_numpy(file[key]).float() for key in (*STATE_KEYS, *rest)}
+            seen = [key for key in SEEN_KEYS if key in file]
+            states = {
+                key: torch.from_numpy(file[key]).float() for key in (*STATE_KEYS, *rest, *seen)
+            }
         if states["joint_position"].shape[1] != len(env.stand_position):
             raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
         self.share, self.pushed, self.alike = share, pushed, alike
         self.num_envs, self.rng = env.num_envs, env.rng
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
+        self.seen = dict.fromkeys(seen, torch.empty(0))  # at the begin of the episodes
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
         self.stand = {  # of the other worlds, whose soles are put on the floor
             "base_position": torch.full((3,), torch.nan),
@@ -273,6 +283,8 @@ class FallingStart(Transform):
         falls = chance < per_world(self.share, 2)
         drawn = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
         values = dict(zip(self.sizes, drawn, strict=True))
+        for name in self.seen:
+            self.seen[name] = torch.where(falls, values.pop(name), torch.nan)
         if self.pushed:
             new = reset_rows(tensordict)[:, None]
             for name in ("force", "left"):
@@ -298,6 +310,11 @@ class FallingStart(Transform):
             gained = self.force * self.left / self.mass
             speed = (tensordict_reset["com_velocity"] + gained)[:, :2].norm(dim=-1, keepdim=True)
             self.speed = torch.where(reset_rows(tensordict)[:, None], speed, self.speed)
+        for name, value in self.seen.items():
+            there = tensordict_reset.get(name, None)
+            if there is not None:
+                seen = value.view_as(there)
+                tensordict_reset.set(name, torch.where(seen.isnan(), there, seen))
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
