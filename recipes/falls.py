@@ -93,8 +93,8 @@ def main(cfg: DictConfig) -> None:
         if not kept.any():
             continue
         remains = (cfg.duration - since_push).clamp_min(0.0)[:, None]
-        seen = [td[key].flatten(1) for key in keys]
-        state = torch.cat([*seen, pushing * (remains > 1e-6), remains], -1)
+        values = [td[key].flatten(1) for key in keys]
+        state = torch.cat([*values, pushing * (remains > 1e-6), remains], -1)
         moments.append(torch.where((kept & ~fell)[:, None], state, torch.nan))
     if not moments:
         raise SystemExit("error: no state was recorded: no push made it give up, or no times fit.")

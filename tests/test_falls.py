@@ -117,4 +117,4 @@ def test_a_fall_goes_on_from_a_bank_as_in_the_trial_it_was_taken_from(tmp_path):
         for _ in range(6):
             td = env.step(actor(td))["next"]
     for key in ("joint_position", "base_orientation", "com_velocity"):
-        assert_close(td[key], later[key][of], atol=0.01, rtol=0)
+        assert_close(td[key], later[key][of], atol=1e-4, rtol=0)

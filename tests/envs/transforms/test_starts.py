@@ -11,12 +11,14 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import STATE_KEYS
+from zfall.envs.make import make_env
 from zfall.envs.motions import load_motions
 from zfall.envs.robots import ZEROTH01
 from zfall.envs.rotations import rotate_inverse, tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.terms.support import sole_corners
-from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
+from zfall.envs.transforms.observations import ObservationVector
 from zfall.envs.transforms.starts import FallingStart, NoisyStart, ReferenceStart, ScriptedStart
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
@@ -274,6 +276,8 @@ def pushed_falls(make_task, tmp_path):
         states = {key: file[key][:1].repeat(3, 0) for key in STATE_KEYS}
     states["base_position"] += [0.0, 0.0, 1.0]
     force = np.array([[30.0, -10.0, 0.0], [0.0, 20.0, 0.0], [0.0] * 3], "f4")
+    states["target"] = np.tile(np.array(ZEROTH01.stand_position, "f4"), (3, 1))
+    states |= {"feet_force": np.zeros((3, 6), "f4"), "com_velocity": np.zeros((3, 3), "f4")}
     np.savez(bank, push_force=force, push_left=np.array([[0.052], [0.052], [0.0]], "f4"), **states)
     env = make_task(
         {**ACTION, "falling": (FallingStart, {"bank": str(bank), "pushed": True})}, num_envs=64
@@ -325,37 +329,96 @@ def test_a_partial_reset_leaves_the_pushes_of_the_others(pushed_falls):
     assert sorted(saved) == ["force", "left", "speed"]  # a resumed run goes on pushing
 
 
+SEEN = {
+    "target": np.linspace(-0.1, 0.1, 40, dtype="f4").reshape(2, 20),
+    "feet_force": np.arange(12, dtype="f4").reshape(2, 6),
+    "com_velocity": np.array([[0.7, 0.0, 0.0], [0.8, 0.0, 0.0]], "f4"),
+}
+
+
+@pytest.fixture
+def seen_falls(tmp_path):
+    """Writes two falls and what was seen in them, some of it replaced."""
+
+    def write(**values):
+        with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+            states = {key: file[key][:2] for key in STATE_KEYS}
+        np.savez(tmp_path / "seen.npz", **{**states, **SEEN, **values})
+        return str(tmp_path / "seen.npz")
+
+    return write
+
+
 @pytest.mark.parametrize("share", [1.0, 0.5])
-def test_what_was_seen_in_a_fall_is_seen_again(make_task, tmp_path, share):
+def test_what_was_seen_in_a_fall_is_seen_again(make_task, seen_falls, share):
     """Target, force and velocity are of the bank in falls, of the reset in worlds that stand."""
-    bank = tmp_path / "falls.npz"
-    seen = {
-        "target": np.linspace(-0.1, 0.1, 40, dtype="f4").reshape(2, 20),
-        "feet_force": np.arange(12, dtype="f4").reshape(2, 6),
-        "com_velocity": np.array([[0.7, 0.0, 0.0], [0.8, 0.0, 0.0]], "f4"),
-    }
-    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
-        np.savez(bank, **{key: file[key][:2] for key in STATE_KEYS}, **seen)
+    falling = (FallingStart, {"bank": seen_falls(), "share": share})
+    env = make_task({**ACTION, "falling": falling}, num_envs=64)
+    env.set_seed(0)
+
+    def check(td, rows):
+        fallen = rows & (td["base_linear_velocity"].norm(dim=-1) > 0)
+        row = (td["com_velocity"][:, 0] > 0.75).long()
+        assert 0 < row[fallen].sum() < fallen.sum()
+        for key, values in SEEN.items():
+            was = torch.from_numpy(values)[row].view_as(td[key])
+            assert torch.equal(td[key][fallen], was[fallen])
+        stand = torch.tensor(ZEROTH01.stand_position)
+        stands = rows & ~fallen
+        assert_close(td["target"][stands], stand.expand(int(stands.sum()), -1))
+        assert (td["com_velocity"][stands].abs() < 1e-6).all()
+        return fallen
+
+    td = env.reset().clone()
+    fallen = check(td, torch.ones(64, dtype=torch.bool))
+    assert fallen.all() if share == 1.0 else 16 < fallen.sum() < 48
+    new = torch.arange(64) % 2 == 0
+    for key in SEEN:
+        td[key][:] = 3.0
+    after = env.reset(td.set("_reset", new[:, None]))
+    check(after, new)
+    for key in SEEN:
+        assert (after[key][~new] == 3.0).all()
+
+
+def test_servos_follow_the_recorded_target_until_commands_arrive(make_task, seen_falls):
+    """Commands 8 ms late reach the servos in the third physics step of the first control step."""
     env = make_task(
-        {**ACTION, "falling": (FallingStart, {"bank": str(bank), "share": share})}, num_envs=64
+        {
+            "falling": (FallingStart, {"bank": seen_falls()}),
+            **ACTION,
+            "delay": (ActuatorDelay, {"delay": (0.008, 0.008)}),
+        },
+        num_envs=8,
     )
     env.set_seed(0)
-    td = env.reset().clone()
-    fallen = td["base_linear_velocity"].norm(dim=-1) > 0
-    assert fallen.all() if share == 1.0 else 16 < fallen.sum() < 48
-    row = (td["com_velocity"][:, 0] > 0.75).long()
-    assert 0 < row[fallen].sum() < fallen.sum()
-    for key, values in seen.items():
-        was = torch.from_numpy(values)[row].view_as(td[key])
-        assert torch.equal(td[key][fallen], was[fallen])
-    stand = torch.tensor(ZEROTH01.stand_position)
-    assert_close(td["target"][~fallen], stand.expand(int((~fallen).sum()), -1))
-    assert (td["com_velocity"][~fallen].abs() < 1e-6).all()
-    new = torch.arange(64) % 2 == 0
-    td["com_velocity"][:] = 3.0
-    after = env.reset(td.set("_reset", new[:, None]))
-    assert (after["com_velocity"][~new] == 3.0).all()
-    assert (after["com_velocity"][new] < 1.0).all()
+    recorded = env.reset()["target"]
+    assert recorded.unique(dim=0).shape[0] == 2
+    delay = next(t for t in env.transform if isinstance(t, ActuatorDelay))
+    control = delay._inv_call(TensorDict({"target": torch.full((8, 20), 0.5)}, [8]))["control"]
+    assert torch.equal(control[:, :2], recorded[:, None].expand(-1, 2, -1))
+    assert (control[:, 2:] == 0.5).all()
+
+
+def test_what_reads_what_was_seen_comes_after_it(make_base, seen_falls):
+    sees = ObservationVector(keys=["com_velocity"], out_key="observation", measured=True)
+    base = make_base()
+    falling = FallingStart(base, bank=seen_falls())
+    with pytest.raises(ValueError, match="falling must come before sees, which reads com_velocity"):
+        make_env(base, {"sees": sees, "falling": falling})
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"feet_force": np.zeros((3, 6), "f4")}, "2 rows of numbers under every key.* feet_force"),
+        ({"target": np.full((2, 20), np.nan, "f4")}, "2 rows of numbers under every key.* target"),
+        ({"target": np.zeros((2, 19), "f4")}, "has other joints"),
+    ],
+)
+def test_a_bank_that_does_not_fit_together_is_refused(make_base, seen_falls, values, message):
+    with pytest.raises(ValueError, match=message):
+        FallingStart(make_base(), bank=seen_falls(**values))
 
 
 def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):

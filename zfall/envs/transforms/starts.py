@@ -1,6 +1,6 @@
 """How an episode begins."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from zfall.envs.motions import load_motions
 from zfall.envs.rotations import rotate, turned
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 
-SEEN_KEYS = ("target", "feet_force", "com_velocity")  # what a policy sees, new at every reset
+SEEN_KEYS = ("target", "feet_force", "com_velocity")  # what a policy sees and no state tells
+OF_JOINTS = ("joint_position", "joint_velocity", "target")
 
 
 class NoisyStart(Transform):
@@ -187,10 +188,12 @@ class FallingStart(Transform):
 
     Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
     others begin as what comes before it in the table says. ``python -m recipes.falls`` records.
-    Of these worlds it also writes what was seen then, ``SEEN_KEYS``, if the bank has them, since
-    no state tells: the target that the servos had, which a reset takes to be the reference, the
-    forces on the feet, which depend on it and on the push, and the velocity of the center of
-    mass, which sensors tell of the begin of a physics step. It comes before sensing.
+    Of these worlds it also writes what was seen then, ``SEEN_KEYS``, if the bank has them: the
+    target that the servos had, as ``("start", "target")`` ``(N, J)`` [rad], not a number in the
+    other worlds; the forces on the feet, which depend on it and on the push; and the velocity of
+    the center of mass, which sensors tell of the begin of a physics step. A policy that sees at
+    first what it never sees later, the reference as its target, does something else there. Comes
+    before what reads these.
 
     Args:
         env: the base env.
@@ -199,14 +202,15 @@ class FallingStart(Transform):
         pushed: whether what is left of a push at that moment goes on, at the torso, where those
             of the bank must have been (``recipes.falls 'points=[torso]'``); ``falling_impulse``
             ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force``
-            ``(K, 3)`` [N; world] and ``push_left`` ``(K, 1)`` [s], too. ``falling_speed``
-            ``(N, 1)`` [m/s] is how fast the center of mass will move along the ground once all of
-            the push has acted, reckoned at the begin of the episode.
+            ``(K, 3)`` [N; world], ``push_left`` ``(K, 1)`` [s] and all ``SEEN_KEYS``, too.
+            ``falling_speed`` ``(N, 1)`` [m/s] is how fast the center of mass will move along the
+            ground once all of the push has acted, reckoned at the begin of the episode.
         alike: worlds in a row that begin in the same state, if they begin in the same step.
 
     Raises:
-        ValueError: if the file is missing, is of another robot or lacks pushes that are to go on,
-            the share is not in (0, 1], or ``alike`` is no number of worlds.
+        ValueError: if the file is missing, is of another robot, lacks pushes that are to go on or
+            numbers, if the share is not in (0, 1], ``alike`` is no number of worlds, or something
+            that reads what it writes stands before it.
     """
 
     force: Tensor
@@ -238,23 +242,32 @@ class FallingStart(Transform):
             raise ValueError(f"bank must be a file that recipes.falls wrote, there is no {path}.")
         rest = ("push_force", "push_left") if pushed else ()
         with np.load(path) as file:
-            lacking = [key for key in (*STATE_KEYS, *rest) if key not in file]
+            seen = SEEN_KEYS if pushed or all(key in file for key in SEEN_KEYS) else ()
+            lacking = [key for key in (*STATE_KEYS, *rest, *seen) if key not in file]
             if lacking:
                 raise ValueError(
                     f"bank must be a file that recipes.falls wrote, {path} lacks {lacking[0]}: "
                     "record it again."
                 )
-            seen = [key for key in SEEN_KEYS if key in file]
             states = {
-                key: torch.from_numpy(file[key]).float() for key in (*STATE_KEYS, *rest, *seen)
+                key: torch.from_numpy(file[key]).float().flatten(1)
+                for key in (*STATE_KEYS, *rest, *seen)
             }
-        if states["joint_position"].shape[1] != len(env.stand_position):
+        of_joints = [value.shape[1] for key, value in states.items() if key in OF_JOINTS]
+        if set(of_joints) != {len(env.stand_position)}:
             raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
+        count = len(states["joint_position"])
+        for key, value in states.items():
+            if len(value) != count or not value.isfinite().all():
+                raise ValueError(
+                    f"bank must hold {count} rows of numbers under every key, as for "
+                    f"joint_position; {path} does not for {key}: record it again."
+                )
         self.share, self.pushed, self.alike = share, pushed, alike
         self.num_envs, self.rng = env.num_envs, env.rng
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
-        self.seen = dict.fromkeys(seen, torch.empty(0))  # at the begin of the episodes
+        self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # at the begin of the episodes
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
         self.stand = {  # of the other worlds, whose soles are put on the floor
             "base_position": torch.full((3,), torch.nan),
@@ -271,6 +284,19 @@ class FallingStart(Transform):
         self.mass = env.mass
         self.register_buffer("speed", torch.zeros(env.num_envs, 1))
 
+    def attach(self, transforms: Mapping[str, Transform]) -> None:
+        """Looks whether what reads ``SEEN_KEYS`` comes after it."""
+        own = next(name for name, t in transforms.items() if t is self)
+        for name, transform in transforms.items():
+            if transform is self:
+                return
+            late = [key for key in self.seen if key in (transform.in_keys or ())]
+            if late:
+                raise ValueError(
+                    f"transforms.{own} must come before {name}, which reads {late[0]}: give it "
+                    f"before: {name}."
+                )
+
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
@@ -285,6 +311,9 @@ class FallingStart(Transform):
         values = dict(zip(self.sizes, drawn, strict=True))
         for name in self.seen:
             self.seen[name] = torch.where(falls, values.pop(name), torch.nan)
+        target = values.pop("target", None)
+        if target is not None:
+            tensordict["start", "target"] = torch.where(falls, target, torch.nan)
         if self.pushed:
             new = reset_rows(tensordict)[:, None]
             for name in ("force", "left"):
@@ -311,10 +340,9 @@ class FallingStart(Transform):
             speed = (tensordict_reset["com_velocity"] + gained)[:, :2].norm(dim=-1, keepdim=True)
             self.speed = torch.where(reset_rows(tensordict)[:, None], speed, self.speed)
         for name, value in self.seen.items():
-            there = tensordict_reset.get(name, None)
-            if there is not None:
-                seen = value.view_as(there)
-                tensordict_reset.set(name, torch.where(seen.isnan(), there, seen))
+            there = tensordict_reset[name]
+            seen = value.view_as(there)
+            tensordict_reset.set(name, torch.where(seen.isnan(), there, seen))
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

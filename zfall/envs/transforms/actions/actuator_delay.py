@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.actions.commands import read_commands
+from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.values import reset_rows
 
@@ -21,7 +21,7 @@ class ActuatorDelay(Transform):
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``, until the first command arrives the angles of the joints at the
-    reset.
+    reset, or what ``targets_before`` says.
 
     Args:
         env: the base env.
@@ -88,5 +88,6 @@ class ActuatorDelay(Transform):
         if self.per == "episode":
             lag = self._lags.draw(self.delay, self.lag.shape)
             self.lag = torch.where(rows.view(-1, *[1] * (lag.ndim - 1)), lag, self.lag)
-        self.history[rows] = tensordict_reset["joint_position"][rows, None]
+        before = targets_before(tensordict, tensordict_reset["joint_position"])
+        self.history[rows] = before[rows, None]
         return tensordict_reset

@@ -1,5 +1,6 @@
 """What the servos are told at each physics step."""
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -13,3 +14,13 @@ def read_commands(tensordict: TensorDictBase, substeps: int) -> Tensor:
     if control is None:
         control = tensordict["target"][:, None].expand(-1, substeps, -1)
     return control
+
+
+def targets_before(tensordict: TensorDictBase, otherwise: Tensor) -> Tensor:
+    """What the servos followed until an episode begins ``(N, J)`` [rad].
+
+    ``("start", "target")`` of ``FallingStart`` where there is one and it is a number, else
+    ``otherwise`` ``(N, J)``. Reads what a transform's ``_reset`` is given first.
+    """
+    given = tensordict.get(("start", "target"), None)
+    return otherwise if given is None else torch.where(given.isnan(), otherwise, given)

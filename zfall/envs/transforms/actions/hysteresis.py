@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.actions.commands import read_commands
+from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -14,7 +14,8 @@ class Backlash(Transform):
     """Gives the gears play: a command that turns around moves nothing until the play is used up.
 
     The play operator on the command: ``y = clamp(y, x - width / 2, x + width / 2)`` at every
-    physics step. It begins an episode in the middle of the play, where the joints are.
+    physics step. It begins an episode in the middle of the play, where the joints are or
+    ``targets_before`` says.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``.
@@ -53,7 +54,8 @@ class Backlash(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.level = torch.where(rows[:, None], tensordict_reset["joint_position"], self.level)
+        before = targets_before(tensordict, tensordict_reset["joint_position"])
+        self.level = torch.where(rows[:, None], before, self.level)
         return tensordict_reset
 
 
@@ -61,7 +63,7 @@ class Deadband(Transform):
     """Lets the servos ignore a command that differs too little from the one they follow.
 
     ``y = x where |x - y| >= width, else y`` at every physics step. It begins an episode where
-    the joints are.
+    the joints are or ``targets_before`` says.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``.
@@ -98,5 +100,6 @@ class Deadband(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.level = torch.where(rows[:, None], tensordict_reset["joint_position"], self.level)
+        before = targets_before(tensordict, tensordict_reset["joint_position"])
+        self.level = torch.where(rows[:, None], before, self.level)
         return tensordict_reset

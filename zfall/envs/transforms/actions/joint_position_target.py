@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.commands import targets_before
 from zfall.envs.transforms.values import per_world
 
 
@@ -16,7 +17,8 @@ class JointPositionTarget(Transform):
     ``target = clamp(reference + scale * action, joint range)``.
 
     Keys: reads ``action`` ``(N, J)``, writes ``target`` ``(N, J)`` [rad], for the step and as an
-    observation; after a reset it is the reference. The action has no bounds of its own.
+    observation; after a reset it is the reference, in a recorded fall what it was then. The
+    action has no bounds of its own.
 
     Args:
         env: the base env.
@@ -53,7 +55,7 @@ class JointPositionTarget(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         target = self.reference.expand(*tensordict_reset.batch_size, -1).clone()
-        return tensordict_reset.set("target", target)
+        return tensordict_reset.set("target", targets_before(tensordict, target))
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         control = input_spec["full_action_spec"].pop("control")

@@ -7,6 +7,7 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.commands import targets_before
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -30,7 +31,7 @@ class JointVelocityTarget(Transform):
 
     Keys: reads ``action`` ``(N, J)``; writes ``target`` ``(N, J)`` [rad], where q is at the end
     of the step, also as an observation, and ``control`` ``(N, S, J)`` [rad]. After a reset the
-    target is where the joints are, within their ranges.
+    target is where the joints are or ``targets_before`` says, within their ranges.
 
     Args:
         env: the base env.
@@ -111,7 +112,8 @@ class JointVelocityTarget(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        start = tensordict_reset["joint_position"].clamp(*self.range.unbind(-1))
+        start = targets_before(tensordict, tensordict_reset["joint_position"])
+        start = start.clamp(*self.range.unbind(-1))
         self.position = torch.where(rows[:, None], start, self.position)
         return tensordict_reset.set("target", self.position.clone())
 

@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.actions.commands import read_commands
+from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.values import POSITIVE, per_world, reset_rows
 
 
@@ -15,7 +15,8 @@ class LowPass(Transform):
 
     ``y += (1 - exp(-dt / time_constant)) (x - y)`` at every physics step dt, the exact solution of
     ``time_constant dy/dt = x - y`` for a command x held over the step; the servo gets the value
-    at the end of the step. It begins an episode where the joints are.
+    at the end of the step. It begins an episode where the joints are or
+    ``targets_before`` says.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``.
@@ -58,5 +59,6 @@ class LowPass(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)
-        self.level = torch.where(rows[:, None], tensordict_reset["joint_position"], self.level)
+        before = targets_before(tensordict, tensordict_reset["joint_position"])
+        self.level = torch.where(rows[:, None], before, self.level)
         return tensordict_reset

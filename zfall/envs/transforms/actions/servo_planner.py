@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.actions.commands import read_commands
+from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -28,7 +28,7 @@ class ServoPlanner(Transform):
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``
     ``(N, J)``; writes ``control``, the set-points at the end of each physics step. They begin an
-    episode at rest where the joints are.
+    episode at rest where the joints are or ``targets_before`` says.
 
     Args:
         env: the base env.
@@ -77,6 +77,7 @@ class ServoPlanner(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict)[:, None]
-        self.position = torch.where(rows, tensordict_reset["joint_position"], self.position)
+        before = targets_before(tensordict, tensordict_reset["joint_position"])
+        self.position = torch.where(rows, before, self.position)
         self.speed = torch.where(rows, 0.0, self.speed)
         return tensordict_reset
