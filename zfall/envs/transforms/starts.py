@@ -267,7 +267,7 @@ class FallingStart(Transform):
         self.num_envs, self.rng = env.num_envs, env.rng
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
-        self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # at the begin of the episodes
+        self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # but the target, of the start
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
         self.stand = {  # of the other worlds, whose soles are put on the floor
             "base_position": torch.full((3,), torch.nan),
