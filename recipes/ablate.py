@@ -18,11 +18,12 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from recipes.one_line import check_keys, one_line_errors, start
-from recipes.ranges import check_flags
-from recipes.study_plan import STUDY, Run, Test, battery_of, plan, run_folder
-from recipes.study_runs import execute, failure_file, frames_done, result_file, unfinished
-from zfall.evaluation.ablation import (
+from recipes.shell import one_line_errors, start
+from zfall.errors import check_flags, check_keys
+from zfall.evaluation.plots import learning_bands
+from zfall.studies.execute import execute, failure_file, frames_done, result_file, unfinished
+from zfall.studies.plan import STUDY, Run, Test, battery_of, plan, run_folder
+from zfall.studies.tables import (
     KNEEL,
     PLANAR,
     Cell,
@@ -31,7 +32,6 @@ from zfall.evaluation.ablation import (
     as_markdown,
     study_table,
 )
-from zfall.evaluation.plots import learning_bands
 
 KEYS = {"study", "results", "runs", "rebuild", "launcher", "jobs"}
 

@@ -19,15 +19,15 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
 
-from recipes.learner import Learner
-from recipes.one_line import check_keys, one_line_errors, start
-from recipes.peers import measure_peers, memory_per_world
-from recipes.ranges import check_flags, check_number
-from recipes.run_folder import write_config
-from recipes.train import garbage_collector_of_new_things
-from recipes.worlds import Worlds
+from benchmarks.peers import measure_peers, memory_per_world
+from recipes.shell import one_line_errors, start
+from zfall.training.loop import garbage_collector_of_new_things
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.threads import in_turns, physics_first
+from zfall.errors import check_flags, check_keys, check_number
+from zfall.simulation.turns import in_turns, physics_first
+from zfall.training.collection import Worlds
+from zfall.training.learner import Learner
+from zfall.training.run_folder import write_config
 
 FULL = "env=push_recovery_realistic"  # every kind of transform at once
 LOSSES = ["caps=atalante", "symmetry=loss"]  # beside PPO's

@@ -15,16 +15,25 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shell_line, start
-from recipes.ranges import check_flags, check_lists, check_whole
-from recipes.results import write_comparison, write_envelope, write_results
-from recipes.tested import BASELINES, SCRIPTED, Tested, held, load_run, read_trials, write_trials
-from recipes.trial import show_trial
+from recipes.shell import one_line_errors, start
+from zfall.commands import remove_if_empty, shell_line
 from zfall.envs.make import left_out
+from zfall.errors import check_flags, check_keys, check_lists, check_whole
 from zfall.evaluation.battery import run_battery, starts_and_pushes
+from zfall.evaluation.candidate import (
+    BASELINES,
+    SCRIPTED,
+    Tested,
+    held,
+    load_run,
+    read_trials,
+    write_trials,
+)
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.envelope import run_envelope
 from zfall.evaluation.report import write_report
+from zfall.evaluation.results import write_comparison, write_envelope, write_results
+from zfall.evaluation.single_trial import show_trial
 
 OPTIONS = (
     *("point", "duration", "directions", "impulses", "starts", "force_starts", "resolution"),

@@ -20,15 +20,17 @@ from omegaconf import DictConfig, OmegaConf
 from rich.progress import Progress, TimeElapsedColumn
 from torchrl.envs import TransformedEnv
 
-from recipes.export_planar import OnnxPolicy, agreement, run_exported
-from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shown_path, start
-from recipes.tested import load_run
+from recipes.shell import one_line_errors, start
+from zfall.commands import remove_if_empty, shown_path
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationVector
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.envs.transforms.pushes import ScriptedPush
+from zfall.errors import check_keys
 from zfall.evaluation.battery import battery_env, run_battery
+from zfall.evaluation.candidate import load_run
 from zfall.evaluation.definitions import load_battery
+from zfall.evaluation.exported import OnnxPolicy, agreement, run_exported
 from zfall.modules.deployed import deployed, zero_memory
 
 UNITS = {

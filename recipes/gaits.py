@@ -15,12 +15,12 @@ from rich.table import Table
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from zfall.envs.gaits import Gait, Times
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.motions import GAITS, make_motions, motions_file, save_motions, walk
-from zfall.envs.robots import ZEROTH01, Robot
-from zfall.envs.rotations import rotate_inverse
 from zfall.envs.terms.falls import body_contact
+from zfall.motions.gaits import Gait, Times
+from zfall.motions.library import GAITS, make_motions, motions_file, save_motions, walk
+from zfall.robots import ZEROTH01, Robot
+from zfall.rotations import rotate_inverse
 
 CONTROL_DT, PHYSICS_DT = 0.02, 0.005  # [s]; both divide a stride of 0.6 s
 KINDS = ("position", "velocity", "torque")

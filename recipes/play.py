@@ -14,12 +14,14 @@ from rich.progress import track
 from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from recipes.one_line import check_keys, one_line_errors, remove_if_empty, shown_path, start
-from recipes.ranges import check_flags, check_lists, check_number, check_whole
-from recipes.showcase import frame
-from recipes.tested import BASELINES, keep, load_run
+from recipes.shell import one_line_errors, start
+from zfall.commands import remove_if_empty, shown_path
 from zfall.envs.make import left_out
+from zfall.envs.tables import keep
+from zfall.errors import check_flags, check_keys, check_lists, check_number, check_whole
 from zfall.evaluation.battery import BLOCK, play
+from zfall.evaluation.candidate import BASELINES, load_run
+from zfall.evaluation.showcase import frame
 from zfall.evaluation.video import film
 from zfall.modules.actors import recurrent_keys
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from zfall.envs.robots import PushPoint, Robot
+from zfall.robots import PushPoint, Robot
 
 MASS, HALF_WIDTH, HALF_HEIGHT = 2.0, 0.05, 0.15  # [kg, m, m]; as deep as wide
 SIDES = ("left", "right")

@@ -15,9 +15,9 @@ from torch import nn
 from torch.testing import assert_close
 from torchrl.envs import Transform
 
-from recipes.learner import Learner
 from zfall.envs.make import build_transform
-from zfall.envs.model import Ball
+from zfall.simulation.model import Ball
+from zfall.training.learner import Learner
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "transforms.md").read_text()

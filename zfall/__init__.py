@@ -6,14 +6,7 @@ from ctypes.util import find_library
 
 import gymnasium
 
-TASKS = (
-    "atalante_standing",
-    "icub_balance",
-    "push_recovery",
-    "push_recovery_realistic",
-    "push_to_kneel",
-    "zeroth_fall",
-)  # the tables of recipes/env that gymnasium knows by name
+from zfall.configs import options_of
 
 
 def _spin_briefly() -> None:
@@ -37,7 +30,7 @@ def _choose_gl() -> None:
 
 def _register() -> None:
     """Tells gymnasium of ``zfall/PushRecovery-v0`` and its like; nothing is built yet."""
-    for task in TASKS:
+    for task in options_of("env"):
         gymnasium.register(
             f"zfall/{task.title().replace('_', '')}-v0",
             entry_point="zfall.envs.gym:TaskEnv",

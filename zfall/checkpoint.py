@@ -6,6 +6,8 @@ from typing import Any
 
 import torch
 
+from zfall.moved import with_new_paths
+
 FORMAT = 7  # raise it when policies written before can no longer be read
 
 
@@ -39,6 +41,8 @@ def load(path: Path) -> dict[str, Any]:
             f"{path} must be a checkpoint of format {FORMAT}, got {found}; train it again, or "
             "read it with the version that wrote it."
         )
+    if isinstance(content.get("config"), str):
+        content["config"] = with_new_paths(content["config"])
     return content
 
 

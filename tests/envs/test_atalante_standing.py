@@ -9,9 +9,9 @@ from omegaconf import OmegaConf
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.rewards import WeightedReward
+from zfall.robots import ZEROTH01
 
 TERMS = {"odometry", "configuration", "feet_position", "feet_orientation", "capture_point",
          "zero_moment_point", "weight", "tangential", "turning"}  # fmt: skip

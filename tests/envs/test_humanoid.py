@@ -10,10 +10,10 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.model import Ball
-from zfall.envs.quantities import SUBSTEP_KEYS
-from zfall.envs.robots import ZEROTH01
-from zfall.envs.rotations import rotate
+from zfall.robots import ZEROTH01
+from zfall.rotations import rotate
+from zfall.simulation.model import Ball
+from zfall.simulation.quantities import SUBSTEP_KEYS
 
 
 def stand(env: HumanoidEnv, seconds: float) -> TensorDict:

@@ -11,8 +11,8 @@ from omegaconf import OmegaConf
 from scipy.spatial.transform import Rotation
 from torch.testing import assert_close
 
-from recipes.learner import Learner
-from zfall.envs.robots import ZEROTH01
+from zfall.robots import ZEROTH01
+from zfall.training.learner import Learner
 
 FAST = ["env=icub_balance", "env.base_env.physics_dt=0.005"]
 # Table II of the paper: weight and cutoff, for a robot of 33 kg with its center of mass at 0.53 m.

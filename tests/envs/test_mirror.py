@@ -7,8 +7,8 @@ from torch.testing import assert_close
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.mirror import mirror_action, mirror_quantity, mirror_vector
-from zfall.envs.robots import ZEROTH01
-from zfall.envs.rotations import rotate
+from zfall.robots import ZEROTH01
+from zfall.rotations import rotate
 
 KEYS = (
     "joint_position",

@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from torch.testing import assert_close
 
-from recipes.learner import Learner
+from zfall.training.learner import Learner
 
 WALKING = {
     "forward_velocity": 5.0,

@@ -6,10 +6,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from recipes.learner import Learner
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import battery_env, play, run_battery, trial_parameters, withstood
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
+from zfall.training.learner import Learner
 
 SMALL = {"impulses": [0.1, 0.9], "starts": 2, "directions": 4, "end_time": 5.0}
 

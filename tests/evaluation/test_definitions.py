@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from zfall.envs.robots import ZEROTH01
 from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
+from zfall.robots import ZEROTH01
 
 UNIT = ZEROTH01.impulse_unit
 

@@ -9,10 +9,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.block import HALF_HEIGHT, HALF_WIDTH, MASS, block_robot, inertia
-from zfall.envs.robots import GRAVITY, PushPoint, Robot
 from zfall.evaluation.battery import run_battery
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.envelope import run_envelope
+from zfall.robots import GRAVITY, PushPoint, Robot
 
 
 def test_bisection_finds_thresholds_that_differ_from_cell_to_cell():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from zfall.envs.robots import GRAVITY, ZEROTH01
 from zfall.evaluation.pendulum import (
     duration_factor,
     endless_stepping_bound,
@@ -12,6 +11,7 @@ from zfall.evaluation.pendulum import (
     references,
     stand_support,
 )
+from zfall.robots import GRAVITY, ZEROTH01
 
 
 @pytest.mark.parametrize("duration", [0.02, 0.1, 0.4])

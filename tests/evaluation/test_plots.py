@@ -7,7 +7,6 @@ import pytest
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
-from zfall.envs.robots import ZEROTH01
 from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import (
     learning_bands,
@@ -18,6 +17,7 @@ from zfall.evaluation.plots import (
     withstood_map,
 )
 from zfall.evaluation.plots.curves import _binned
+from zfall.robots import ZEROTH01
 
 
 def test_success_map_shows_each_share_where_it_belongs(tmp_path, monkeypatch):

@@ -5,8 +5,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from zfall.envs.robots import ZEROTH01
 from zfall.evaluation import video
+from zfall.robots import ZEROTH01
 
 
 def test_film_has_a_frame_per_step_and_shows_the_robot(tmp_path):

@@ -5,8 +5,8 @@ import torch
 from torch.testing import assert_close
 from torchrl.modules import set_recurrent_mode
 
-from recipes.learner import Learner
 from zfall.losses.burn_in import burnt_in
+from zfall.training.learner import Learner
 
 
 @pytest.mark.parametrize("cut", [2, 3])

@@ -10,11 +10,11 @@ from torch.distributions import Independent, Normal, kl_divergence
 from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 
-from recipes.learner import Learner
-from recipes.tested import POLICIES
 from zfall import checkpoint
 from zfall.losses.imitation import ImitationLoss
 from zfall.modules.actors import gru_actor, mlp_actor
+from zfall.policies.load import POLICIES
+from zfall.training.learner import Learner
 
 OBSERVED, JOINTS = 5, 3
 SPEC = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv, step_mdp
 
-from zfall.envs.dm_physics import Physics, PhysicsSimulation
 from zfall.envs.tasks import Table, action_bounds, build_task
+from zfall.simulation.dm_control import Physics, PhysicsSimulation
 
 
 def load(

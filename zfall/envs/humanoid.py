@@ -12,18 +12,18 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms.utils import _get_reset
 
-from zfall.envs.model import (
+from zfall.robots import ZEROTH01, PushPoint, Robot
+from zfall.simulation.cpu import Simulation, sound
+from zfall.simulation.model import (
     Ball,
     compile_model,
     push_targets,
     sensor_slices,
     servo_time_constant,
 )
-from zfall.envs.parameters import PhysicsParameters
-from zfall.envs.quantities import PEAK_KEYS, SUBSTEP_KEYS, Quantities
-from zfall.envs.robots import ZEROTH01, PushPoint, Robot
-from zfall.envs.simulation import Simulation, sound
-from zfall.envs.specs import action_spec, done_spec, observation_spec
+from zfall.simulation.parameters import PhysicsParameters
+from zfall.simulation.quantities import PEAK_KEYS, SUBSTEP_KEYS, Quantities
+from zfall.simulation.specs import action_spec, done_spec, observation_spec
 
 STATE_KEYS = (  # what a state of the robot is made of
     "joint_position",

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 import torch
 from torch import Tensor, nn
 
-from zfall.envs.robots import Robot
 from zfall.envs.transforms.commands import ENTRIES
+from zfall.robots import Robot
 
 # Signs under a reflection at the robot's plane of symmetry, which y is normal to.
 _POLAR, _AXIAL, _QUATERNION = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, -1.0, 1.0, -1.0)

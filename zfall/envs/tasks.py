@@ -1,21 +1,18 @@
 """Tasks by name: what all faces of an env make of a table."""
 
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
-from importlib.resources import files
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
-from hydra import compose, initialize_config_module
-from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException, InstantiationException
 from hydra.utils import instantiate
 from numpy.typing import NDArray
 from omegaconf.errors import OmegaConfBaseException
 from torchrl.envs import Transform, TransformedEnv
 
-from recipes.one_line import in_one_line
+from zfall.configs import compose_config, options_of
 from zfall.envs.make import left_out, make_env
+from zfall.errors import in_one_line
 
 Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
 
@@ -76,24 +73,10 @@ def _is_for_critic(transform: Transform | Table) -> bool:
 
 
 def _load_table(name: str, overrides: Collection[str]) -> Table:
-    there = [path.name for path in (files("recipes") / "env").iterdir()]
-    names = sorted(f.removesuffix(".yaml") for f in there if f.endswith(".yaml"))
+    names = options_of("env")
     if name not in names:
         raise ValueError(f"task must be one of {', '.join(names)}, got {name!r}.")
-    changed = [f"env={name}", "~experiment", *overrides]
-    with _outside_hydra(), initialize_config_module("recipes", version_base=None):
-        try:
-            return compose("train", overrides=changed).env
-        except (HydraException, OmegaConfBaseException, ValueError) as error:
-            raise ValueError(in_one_line(error)) from error
-
-
-@contextmanager
-def _outside_hydra() -> Iterator[None]:
-    """Sets aside the hydra of the program around us: there can be only one at a time."""
-    outer = GlobalHydra.instance().hydra
-    GlobalHydra.instance().hydra = None
     try:
-        yield
-    finally:
-        GlobalHydra.instance().hydra = outer
+        return compose_config([f"env={name}", "~experiment", *overrides]).env
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        raise ValueError(in_one_line(error)) from error

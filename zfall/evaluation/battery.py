@@ -16,8 +16,7 @@ from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import left_out, make_env
-from zfall.envs.robots import ZEROTH01, Robot
-from zfall.envs.threads import physics_first
+from zfall.envs.tables import robot_of
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.randomization import DomainRandomization
@@ -25,6 +24,7 @@ from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials, those_of
 from zfall.evaluation.metrics import Outcomes
 from zfall.modules.actors import recurrent_keys
+from zfall.simulation.turns import physics_first
 
 BLOCK = 64  # worlds in one call of a policy, always: a trial re-run alone is the same trial
 
@@ -156,12 +156,6 @@ def arrange(
     ):
         buffer[:, :events] = value
     push.time[:, events:] = torch.inf
-
-
-def robot_of(cfg: DictConfig) -> Robot:
-    """The robot of the config of an env."""
-    robot = cfg.base_env.get("robot")
-    return ZEROTH01 if robot is None else instantiate(robot)
 
 
 def run_battery(

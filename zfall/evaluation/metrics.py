@@ -7,12 +7,12 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.rotations import tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.effort import Effort
-from zfall.evaluation.kneeling import Kneeling
 from zfall.evaluation.strategies import Strategies
+from zfall.falling.kneeling import Kneeling
+from zfall.rotations import tilt
 
 MEASURES = 3  # version of what the columns mean: raise it when that changes
 STANDING = 2.0  # time before the push in which smoothness is measured [s]

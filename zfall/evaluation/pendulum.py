@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from zfall.envs.model import compile_model
-from zfall.envs.robots import GRAVITY, Robot
+from zfall.robots import GRAVITY, Robot
+from zfall.simulation.model import compile_model
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.robots import GRAVITY
-from zfall.envs.rotations import tilt
+from zfall.robots import GRAVITY
+from zfall.rotations import tilt
 
 STRIDE = 0.02  # a foot that comes down so far from where it left has stepped [m]
 CALM = 0.1  # speed of the center of mass below which the robot has come to rest [m/s]

@@ -5,8 +5,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from zfall.falling.switched import SwitchedActor
 from zfall.modules.actors import recurrent_keys
-from zfall.modules.switched import SwitchedActor
 
 
 class DeployedMLP(nn.Module):

@@ -6,7 +6,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.balance import (
     base_speed,
     capture_point,
@@ -14,6 +13,7 @@ from zfall.envs.terms.balance import (
     com_velocity_to_support,
     vertical_com_speed,
 )
+from zfall.robots import ZEROTH01
 
 NONE = TensorDict(batch_size=[1])
 

@@ -5,8 +5,8 @@ import torch
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.falls import base_height, body_contact, low, tilted
+from zfall.robots import ZEROTH01
 
 NONE = TensorDict(batch_size=[1])
 

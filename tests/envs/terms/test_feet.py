@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDict
 from torch.testing import assert_close
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.feet import (
     balanced_load,
     carried_weight,
@@ -16,6 +15,7 @@ from zfall.envs.terms.feet import (
     flat_feet,
     tangential_force,
 )
+from zfall.robots import ZEROTH01
 
 NONE = TensorDict(batch_size=[3])
 CONTACT = torch.tensor([[True, True], [True, False], [False, False]])

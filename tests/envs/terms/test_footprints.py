@@ -7,9 +7,9 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 from torch.testing import assert_close
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.footprints import footprint_distance, footprints
 from zfall.envs.terms.support import sole_corners
+from zfall.robots import ZEROTH01
 
 
 def feet(spread: float, tilt: float, num: int = 300) -> dict[str, torch.Tensor]:

@@ -11,7 +11,6 @@ from tensordict import TensorDict
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.limits import (
     base_low,
     base_tilted,
@@ -29,6 +28,7 @@ from zfall.envs.transforms.windows import (
     JointStopSpeed,
     OdometryDisplacement,
 )
+from zfall.robots import ZEROTH01
 
 DT = 0.04
 NONE = TensorDict(batch_size=[1])

@@ -7,7 +7,6 @@ import torch
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.posture import (
     arm_pose,
     double_support_posture,
@@ -17,6 +16,7 @@ from zfall.envs.terms.posture import (
     termination,
     upright,
 )
+from zfall.robots import ZEROTH01
 
 NONE = TensorDict(batch_size=[1])
 

@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 from torch.testing import assert_close
 
-from zfall.envs.robots import ZEROTH01
-from zfall.envs.stance import stance
 from zfall.envs.terms.reference import (
     base_turning,
     configuration_error,
@@ -19,6 +17,8 @@ from zfall.envs.terms.reference import (
     odometry_velocity,
     reference_configuration,
 )
+from zfall.robots import ZEROTH01
+from zfall.simulation.stance import stance
 
 NONE = TensorDict(batch_size=[1])
 VALUES = {"robot": ZEROTH01, "epsilon": 0.01}

@@ -9,7 +9,6 @@ from torch.testing import assert_close
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.stability import (
     capture_point_in_base,
     centered_zero_moment_point,
@@ -19,6 +18,7 @@ from zfall.envs.terms.stability import (
 from zfall.envs.terms.support import distance_inside, sole_corners, support_hull
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.windows import MomentumRate
+from zfall.robots import ZEROTH01
 
 NONE = TensorDict(batch_size=[1])
 WEIGHT = 3.3494 * 9.81

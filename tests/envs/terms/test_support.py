@@ -6,7 +6,6 @@ import torch
 from scipy.spatial import ConvexHull
 from torch.testing import assert_close
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.terms.support import (
     com_in_support,
     convex_hull,
@@ -16,6 +15,7 @@ from zfall.envs.terms.support import (
     sole_corners,
     support_hull,
 )
+from zfall.robots import ZEROTH01
 
 ALL = torch.ones(8, dtype=torch.bool)
 

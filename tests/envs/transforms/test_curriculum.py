@@ -12,10 +12,10 @@ from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
 from zfall.envs.transforms.curriculum import Curriculum
-from zfall.envs.transforms.modes import ModeMachine
 from zfall.envs.transforms.observations import ObservationNoise
 from zfall.envs.transforms.pushes import RandomPush
 from zfall.envs.transforms.terminations import time_limit
+from zfall.falling.modes import ModeMachine
 
 TABLE = {
     "action": (JointPositionTarget, {"scale": 1.0}),

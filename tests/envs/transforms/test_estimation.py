@@ -11,7 +11,6 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.make import make_env
-from zfall.envs.rotations import roll_and_pitch, rotate_inverse
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.estimation import (
     JointVelocityKalmanFilter,
@@ -20,6 +19,7 @@ from zfall.envs.transforms.estimation import (
     steady_update,
 )
 from zfall.envs.transforms.observations import ObservationNoise, ObservationVector
+from zfall.rotations import roll_and_pitch, rotate_inverse
 
 DT = 0.02
 

@@ -15,7 +15,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 from zfall.envs import transforms
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.envs.model import Ball
+from zfall.simulation.model import Ball
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
@@ -38,9 +38,9 @@ TABLE = {  # in the order of a yaml
         "joint_position": 0.05,
         "heading": True,
     },
-    "falling": {"_target_": "zfall.envs.transforms.starts.FallingStart", "share": 0.5},
-    "kneel_reference": {"_target_": "zfall.envs.transforms.actions.KneelReference"},
-    "stable": {"_target_": "zfall.envs.transforms.modes.StableHold"},
+    "falling": {"_target_": "zfall.falling.falling_start.FallingStart", "share": 0.5},
+    "kneel_reference": {"_target_": "zfall.falling.kneel_reference.KneelReference"},
+    "stable": {"_target_": "zfall.falling.modes.StableHold"},
     "planner": {"_target_": f"{_ACTIONS}.ServoPlanner"},
     "deadband": {"_target_": f"{_ACTIONS}.Deadband", "width": 0.01},
     "backlash": {"_target_": f"{_ACTIONS}.Backlash", "width": 0.02},
@@ -153,11 +153,11 @@ TABLE = {  # in the order of a yaml
         "keys": ["joint_position"],
     },
     "predictor": {
-        "_target_": "zfall.envs.transforms.modes.FallPredictor",
-        "network": {"_target_": "zfall.modules.fall_network.FallNetwork", "size": 6},
+        "_target_": "zfall.falling.modes.FallPredictor",
+        "network": {"_target_": "zfall.falling.fall_network.FallNetwork", "size": 6},
         "keys": IMU,
     },
-    "mode": {"_target_": "zfall.envs.transforms.modes.ModeMachine", "hold": 0.08, "back": 0.08},
+    "mode": {"_target_": "zfall.falling.modes.ModeMachine", "hold": 0.08, "back": 0.08},
     "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
     "angles": {"_target_": f"{_SENSING}.TiltAngles"},
     "differences": {"_target_": f"{_ESTIMATION}.NumericalVelocity"},
@@ -177,7 +177,7 @@ TABLE = {  # in the order of a yaml
         "keys": ["joint_position", "base_position"],
         "ranges": {"joint_position": "joint_range", "base_position": [0.0, 2.0]},
     },
-    "mirrored_falls": {"_target_": "zfall.envs.transforms.mirroring.MirroredFalls"},
+    "mirrored_falls": {"_target_": "zfall.falling.mirrored_falls.MirroredFalls"},
     "near": {"_target_": f"{_SENSING}.CAPSNeighbours", "sigma": 0.1},
 }
 TABLES = st.tuples(

@@ -7,13 +7,13 @@ import torch
 from scipy.stats import kstest, loguniform, norm, uniform
 from torch.testing import assert_close
 
-from zfall.envs.rotations import rotate
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.randomization import (
     DomainRandomization,
     ImuMisalignment,
     JointZeroOffset,
 )
+from zfall.rotations import rotate
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
 

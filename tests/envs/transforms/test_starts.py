@@ -1,7 +1,5 @@
 """How episodes begin."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,14 +10,16 @@ from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.make import make_env
-from zfall.envs.motions import load_motions
-from zfall.envs.robots import ZEROTH01
-from zfall.envs.rotations import rotate_inverse, tilt
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.terms.support import sole_corners
 from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
 from zfall.envs.transforms.observations import ObservationVector
-from zfall.envs.transforms.starts import FallingStart, NoisyStart, ReferenceStart, ScriptedStart
+from zfall.envs.transforms.starts import NoisyStart, ReferenceStart, ScriptedStart
+from zfall.falling.falling_start import FallingStart
+from zfall.falling.files import own_file
+from zfall.motions.library import load_motions
+from zfall.robots import ZEROTH01
+from zfall.rotations import rotate_inverse, tilt
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
 
@@ -233,7 +233,7 @@ def test_falls_begin_as_recorded_and_the_others_stand(make_task):
     td = env.reset()
     fallen = td["base_linear_velocity"].norm(dim=-1) > 0
     assert 0.6 < fallen.float().mean() < 0.8
-    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as bank:
+    with np.load(own_file(ZEROTH01, "falls.npz")) as bank:
         recorded = torch.from_numpy(bank["joint_velocity"])
         assert bank["base_orientation"].shape[0] > 1000
     distance = torch.cdist(
@@ -272,7 +272,7 @@ def test_each_world_may_have_its_own_share_of_falls(make_base):
 def pushed_falls(make_task, tmp_path):
     """Worlds in the air, so that the push alone moves them; a third are not pushed any more."""
     bank = tmp_path / "falls.npz"
-    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+    with np.load(own_file(ZEROTH01, "falls.npz")) as file:
         states = {key: file[key][:1].repeat(3, 0) for key in STATE_KEYS}
     states["base_position"] += [0.0, 0.0, 1.0]
     force = np.array([[30.0, -10.0, 0.0], [0.0, 20.0, 0.0], [0.0] * 3], "f4")
@@ -341,7 +341,7 @@ def seen_falls(tmp_path):
     """Writes two falls and what was seen in them, some of it replaced."""
 
     def write(**values):
-        with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+        with np.load(own_file(ZEROTH01, "falls.npz")) as file:
             states = {key: file[key][:2] for key in STATE_KEYS}
         np.savez(tmp_path / "seen.npz", **{**states, **SEEN, **values})
         return str(tmp_path / "seen.npz")
@@ -423,7 +423,7 @@ def test_a_bank_that_does_not_fit_together_is_refused(make_base, seen_falls, val
 
 def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):
     bank = tmp_path / "falls.npz"
-    with np.load(Path(ZEROTH01.mjcf).with_name("zeroth01_falls.npz")) as file:
+    with np.load(own_file(ZEROTH01, "falls.npz")) as file:
         np.savez(bank, **{key: file[key] for key in STATE_KEYS})
     FallingStart(make_base(), bank=str(bank))
     with pytest.raises(ValueError, match="lacks push_force"):
@@ -433,7 +433,7 @@ def test_a_bank_without_pushes_cannot_have_them_go_on(make_base, tmp_path):
 
 
 def test_a_missing_bank_of_falls_is_refused(make_base):
-    with pytest.raises(ValueError, match="bank must be a file that recipes.falls wrote"):
+    with pytest.raises(ValueError, match="bank must be a file that recipes.falling.falls wrote"):
         FallingStart(make_base(), bank="nowhere.npz")
     with pytest.raises(ValueError, match="share must lie in"):
         FallingStart(make_base(), share=0.0)

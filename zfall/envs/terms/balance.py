@@ -4,9 +4,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import GRAVITY, Robot
 from zfall.envs.terms.kernels import rbf
 from zfall.envs.terms.support import hull_center, support_hull
+from zfall.robots import GRAVITY, Robot
 
 
 def base_speed(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:

@@ -9,7 +9,7 @@ import math
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.rotations import cos_tilt
+from zfall.rotations import cos_tilt
 
 
 def body_contact(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:

@@ -4,9 +4,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import GRAVITY, Robot
-from zfall.envs.rotations import up_axis
 from zfall.envs.terms.kernels import rbf
+from zfall.robots import GRAVITY, Robot
+from zfall.rotations import up_axis
 
 
 def feet_in_contact(td: TensorDictBase, next_td: TensorDictBase, *, both: bool = False) -> Tensor:

@@ -4,7 +4,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import Robot
+from zfall.robots import Robot
 
 
 def footprints(td: TensorDictBase, robot: Robot) -> tuple[Tensor, Tensor]:

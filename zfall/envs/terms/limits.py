@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import Robot
-from zfall.envs.rotations import roll_and_pitch, up_axis
 from zfall.envs.terms.footprints import footprint_distance, footprints
+from zfall.robots import Robot
+from zfall.rotations import roll_and_pitch, up_axis
 
 
 def base_low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor:

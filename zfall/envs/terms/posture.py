@@ -8,9 +8,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import Robot
-from zfall.envs.rotations import cos_tilt
 from zfall.envs.terms.kernels import rbf
+from zfall.robots import Robot
+from zfall.rotations import cos_tilt
 
 
 def survival(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:

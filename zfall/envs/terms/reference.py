@@ -14,15 +14,15 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import Robot
-from zfall.envs.rotations import (
+from zfall.envs.terms.kernels import rbf
+from zfall.robots import Robot
+from zfall.rotations import (
     mean_orientation,
     rotate_inverse,
     rotation_angle,
     turn_between,
 )
-from zfall.envs.stance import stance
-from zfall.envs.terms.kernels import rbf
+from zfall.simulation.stance import stance
 
 
 def odometry_velocity(

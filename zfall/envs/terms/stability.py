@@ -8,10 +8,10 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import GRAVITY, Robot
-from zfall.envs.rotations import turn_to_heading
-from zfall.envs.stance import stance
 from zfall.envs.terms.kernels import rbf
+from zfall.robots import GRAVITY, Robot
+from zfall.rotations import turn_to_heading
+from zfall.simulation.stance import stance
 
 _LEAST_LOAD = 0.1  # share of the weight: in flight the zero-moment point does not exist
 

@@ -6,8 +6,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.robots import Robot
-from zfall.envs.rotations import rotate
+from zfall.robots import Robot
+from zfall.rotations import rotate
 
 _FLAT = 1e-6  # [m]: closer to a line than this, a point counts as on it
 

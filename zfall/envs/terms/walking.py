@@ -10,7 +10,7 @@ began with.
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.envs.rotations import rotate_inverse
+from zfall.rotations import rotate_inverse
 
 
 def forward_velocity(td: TensorDictBase, next_td: TensorDictBase, *, limit: float) -> Tensor:

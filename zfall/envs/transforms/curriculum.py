@@ -10,7 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.parameters import ANY_NUMBER
+from zfall.simulation.parameters import ANY_NUMBER
 
 _COUNTS = {"steps", "max_steps", "rule"}  # fields in whole steps, not of one world
 

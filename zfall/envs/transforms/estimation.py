@@ -16,9 +16,9 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.rotations import roll_and_pitch
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.values import reset_rows
+from zfall.rotations import roll_and_pitch
 
 
 def steady_update(kalman: KalmanFilter) -> Tensor:

@@ -10,9 +10,9 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.parameters import ANY_NUMBER, RANGES
-from zfall.envs.rotations import rotate
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
+from zfall.rotations import rotate
+from zfall.simulation.parameters import ANY_NUMBER, RANGES
 
 _KINDS = ("uniform", "log_uniform", "normal")
 
@@ -29,7 +29,7 @@ class DomainRandomization(Transform):
             high]}`` or ``{normal: [mean, standard deviation]}``, each entry of the parameter on
             its own; with ``shared: true`` one draw for all entries, and with ``clip: [low, high]``
             cut to bounds. What a normal distribution draws beyond ``RANGES`` of
-            ``zfall.envs.parameters`` is cut to them.
+            ``zfall.simulation.parameters`` is cut to them.
         interval: time after which the parameters are drawn again within an episode [s]; ``null``
             keeps them for the whole episode.
 

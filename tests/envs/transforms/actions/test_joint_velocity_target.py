@@ -5,8 +5,8 @@ import torch
 from tensordict import TensorDict
 from torch.testing import assert_close
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import JointVelocityTarget
+from zfall.robots import ZEROTH01
 
 ELBOW, SHOULDER = 14, 12  # left
 

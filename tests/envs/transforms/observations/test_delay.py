@@ -7,9 +7,9 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.make import make_env
-from zfall.envs.quantities import SUBSTEP_KEYS
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationDelay, ObservationNoise
+from zfall.simulation.quantities import SUBSTEP_KEYS
 
 MEANS = ("base_acceleration", "joint_torque")  # over the step; the substeps hold single values
 STATE_KEYS = [key for key in SUBSTEP_KEYS if key not in MEANS]

@@ -6,8 +6,8 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 
 from tests.envs.transforms.pushes.test_random import ACTION
-from zfall.envs.model import Ball
 from zfall.envs.transforms.pushes import ThrownBall
+from zfall.simulation.model import Ball
 
 BALL = Ball(mass=0.3, radius=0.04)
 

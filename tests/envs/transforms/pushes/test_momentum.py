@@ -9,9 +9,9 @@ from torch.testing import assert_close
 from tests.block import MASS, block_robot, inertia
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.pushes import ScriptedPush
+from zfall.robots import ZEROTH01
 
 # Mean of each profile; of a Gaussian cut at 3 sigma: sqrt(2 pi) erf(3 / sqrt(2)) / 6.
 SHARE = {"rectangular": 1.0, "half_sine": 2 / torch.pi, "ramp": 0.5,

@@ -4,9 +4,9 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from zfall.envs.robots import ZEROTH01
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.pushes import RandomPush, ScriptedPush
+from zfall.robots import ZEROTH01
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
 RATES = [(0.04, 0.004), (0.02, 0.004), (0.035, 0.005), (0.01, 0.0025)]

@@ -4,9 +4,9 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from zfall.envs.terms.kneel import harder_landing
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.windows import LargestSoFar
+from zfall.falling.terms import harder_landing
 
 KEYS = {"base_acceleration_peak": "base_acceleration_max"}
 

@@ -10,7 +10,6 @@ from zfall.envs.transforms.actions.actuator_delay import ActuatorDelay
 from zfall.envs.transforms.actions.hysteresis import Backlash, Deadband
 from zfall.envs.transforms.actions.joint_position_target import JointPositionTarget
 from zfall.envs.transforms.actions.joint_velocity_target import JointVelocityTarget
-from zfall.envs.transforms.actions.kneel_reference import KneelReference
 from zfall.envs.transforms.actions.low_pass import LowPass
 from zfall.envs.transforms.actions.servo_planner import ServoPlanner
 
@@ -20,7 +19,6 @@ __all__ = [
     "Deadband",
     "JointPositionTarget",
     "JointVelocityTarget",
-    "KneelReference",
     "LowPass",
     "ServoPlanner",
 ]

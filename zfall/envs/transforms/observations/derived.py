@@ -12,8 +12,8 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
-from zfall.envs.rotations import rotate_inverse, up_axis
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
+from zfall.rotations import rotate_inverse, up_axis
 
 
 def _write(

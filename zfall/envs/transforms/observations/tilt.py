@@ -4,8 +4,8 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
-from zfall.envs.rotations import roll_and_pitch
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
+from zfall.rotations import roll_and_pitch
 
 
 class TiltAngles(Transform):

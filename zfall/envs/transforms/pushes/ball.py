@@ -8,7 +8,6 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.robots import GRAVITY
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -18,6 +17,7 @@ from zfall.envs.transforms.pushes.draws import (
     uniform,
 )
 from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, per_world, reset_rows
+from zfall.robots import GRAVITY
 
 
 class ThrownBall(Transform):
@@ -63,7 +63,7 @@ class ThrownBall(Transform):
         if env.ball is None:
             raise ValueError(
                 "ThrownBall must have a ball to throw: give base_env.ball, for instance "
-                "{_target_: zfall.envs.model.Ball, mass: 0.2, radius: 0.04}; got none."
+                "{_target_: zfall.robots.Ball, mass: 0.2, radius: 0.04}; got none."
             )
         check_range("speed", speed, positive=True)
         check_range("aim", aim, negative=True)

@@ -6,7 +6,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.rotations import heading, rotation_vector, turn_between, wrap
+from zfall.rotations import heading, rotation_vector, turn_between, wrap
 
 
 class MeanVelocity(Transform):

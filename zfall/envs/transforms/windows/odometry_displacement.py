@@ -7,9 +7,9 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.rotations import heading, wrap
 from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
+from zfall.rotations import heading, wrap
 
 
 class OdometryDisplacement(Transform):

@@ -1,0 +1,76 @@
+"""Two policies and the mode that chooses."""
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from tensordict import TensorDict
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from zfall.falling.switched import SwitchedActor, switched_actor
+
+MLP = {"_target_": "zfall.modules.actors.mlp_actor", "num_cells": [8]}
+GRU = {"_target_": "zfall.modules.actors.gru_actor", "hidden_size": 8, "num_layers": 1}
+
+
+def specs(env):
+    spec = env.observation_spec.clone()
+    return spec, env.full_action_spec["action"]
+
+
+@pytest.fixture
+def env(compose_config):
+    return instantiate(compose_config("experiment=push_to_kneel", "num_envs=3").env)
+
+
+def test_the_mode_chooses_world_by_world(env):
+    torch.manual_seed(0)
+    actor = switched_actor(*specs(env), recover=MLP, kneel=MLP)
+    td = TensorDict({"observation": torch.randn(3, env.observation_spec["observation"].shape[-1]),
+                     "mode": torch.eye(3)}, batch_size=[3])  # fmt: skip
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        out = actor(td.clone())["action"]
+        one, two = (part(td.clone())["action"] for part in (actor.recover, actor.kneel))
+    assert torch.equal(out, torch.stack([one[0], two[1], two[2]]))
+    assert not torch.equal(one, two)
+
+
+def test_one_may_have_a_memory_and_both_may_not(env):
+    actor = switched_actor(*specs(env), recover=GRU, kneel=MLP)
+    assert "recurrent_state_actor" in actor.in_keys
+    assert ("next", "recurrent_state_actor") in actor.out_keys
+    with pytest.raises(ValueError, match="must not both have a memory"):
+        SwitchedActor(actor.recover, actor.recover)
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_memory_for_kneeling_begins_with_it_or_before(env, begins):
+    """World 0 recovers, then kneels; what it does then is what a new memory would, or is not."""
+    torch.manual_seed(0)
+    actor = switched_actor(*specs(env), recover=MLP, kneel=GRU, begins=begins)
+    size = env.observation_spec["observation"].shape[-1]
+    key = "recurrent_state_actor"
+    td = TensorDict({"observation": torch.randn(3, size), "mode": torch.eye(3),
+                     "is_init": torch.zeros(3, 1, dtype=torch.bool)}, batch_size=[3])  # fmt: skip
+    new = torch.zeros(3, 1, 8)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        after = actor(td.clone().set(key, new))["next", key]
+        assert after[1:].abs().amax((1, 2)).min() > 0
+        assert bool((after[0] == 0).all()) is begins
+        td["observation"] = torch.randn(3, size)
+        td["mode"] = torch.eye(3)[[1, 1, 1]]
+        action = actor(td.clone().set(key, after))["action"]
+        fresh = actor.kneel(td.clone().set(key, new))["action"]
+    assert torch.equal(action[0], fresh[0]) is begins
+    assert not torch.equal(action[1], fresh[1])
+
+
+def test_who_leaves_the_way_down_to_the_script_does_nothing(env):
+    still = {"_target_": "zfall.falling.switched.still_actor"}
+    actor = switched_actor(*specs(env), recover=MLP, kneel=still)
+    assert "observation" in actor.in_keys
+    td = TensorDict({"observation": torch.randn(3, env.observation_spec["observation"].shape[-1]),
+                     "mode": torch.eye(3)}, batch_size=[3])  # fmt: skip
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        action = actor(td)["action"]
+    assert action[0].abs().max() > 0
+    assert torch.equal(action[1:], torch.zeros(2, action.shape[1]))

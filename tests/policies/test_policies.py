@@ -1,0 +1,59 @@
+"""The policies that ship."""
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import ExplorationType, set_exploration_type
+from torchrl.envs.utils import step_mdp
+from torchrl.modules.utils import get_primers_from_module
+
+from zfall import checkpoint
+from zfall.evaluation.candidate import load_run
+from zfall.modules.actors import recurrent_keys
+from zfall.policies.load import POLICIES
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in POLICIES.glob("*.pt")))
+def test_a_policy_that_ships_stands_for_a_second(name):
+    """In its own world without noise, pushes and delays, from its starts."""
+    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), name)
+    env = instantiate(env_cfg, base_env={"num_envs": 4}, training=False)
+    if recurrent_keys(actor):
+        env.append_transform(get_primers_from_module(actor))
+    env.set_seed(0)
+    steps = round(1.0 / env.base_env.control_dt)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        rollout = env.rollout(steps, actor, break_when_any_done=False)
+    assert not rollout["next", "terminated"].any()
+
+
+def test_best_gru_is_configured_as_it_was_trained(compose_config):
+    content = checkpoint.load(POLICIES / "best_gru.pt")
+    cfg = compose_config("experiment=best_gru", "showcase=null")
+    trained = DictConfig(OmegaConf.create(content["config"]))
+    trained.groups, trained.alike, trained.actor.residual = None, 1, False  # there were none
+    trained.optimizer.fused = True  # it was plain Adam, the same update in more steps
+    assert trained == cfg
+
+
+def test_the_network_of_the_report_is_the_one_that_ships(compose_config):
+    content = checkpoint.load(POLICIES / "zeroth_fall.pt")
+    trained = DictConfig(OmegaConf.create(content["config"])).actor
+    trained.residual = False  # there was none
+    assert trained == compose_config("experiment=zeroth_fall_laptop").actor
+
+
+def test_kneel_soft_catches_a_fall_to_the_left_in_a_mirror():
+    """Two worlds, kicked to the left and to the right by 2.5 m/s: both give up, one mirrored."""
+    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), "kneel_soft")
+    env = instantiate(env_cfg, base_env={"num_envs": 2}, training=False)
+    env.set_seed(0)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = step_mdp(env.rollout(10, actor)[:, -1])
+        assert not td["fall_mirrored"].any()
+        env.base_env.simulation.qvel[:, 1] += torch.tensor([2.5, -2.5])
+        for _ in range(20):
+            td = step_mdp(env.step(actor(td)))
+    assert (td["mode"][:, 0] == 0).all()
+    assert td["fall_mirrored"][:, 0].tolist() == [True, False]

@@ -1,0 +1,86 @@
+"""The papers' experiments: they learn, and a laptop gets the same task."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hydra.utils import instantiate
+
+from tests.shell import TINY, run
+from zfall.falling.files import own_file
+from zfall.robots import ZEROTH01
+
+FALLS = own_file(ZEROTH01, "falls.npz")
+PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(name + end for name in PAPERS for end in ("", "_laptop")),
+        "best_gru",
+        "push_to_kneel_softly",
+    ],
+)
+def test_every_experiment_learns(name, tmp_path):
+    """Its networks, loss and optimizer, on a small batch."""
+    own = []
+    if name == "push_to_kneel_softly":  # a bank of what was seen, here made up
+        with np.load(FALLS) as file:
+            states = dict(file)
+        count = len(states["push_left"])
+        states |= {"target": states["joint_position"], "feet_force": np.zeros((count, 6), "f4")}
+        states["com_velocity"] = states["base_linear_velocity"]
+        np.savez(tmp_path / "falls.npz", **states)
+        own = [f"env.transforms.falling.bank={tmp_path}/falls.npz"]
+    done = run("train", f"experiment={name}", *own, *TINY, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(tmp_path / "run" / "metrics.csv")
+    assert metrics["frames"].tolist() == [32, 64]
+    assert metrics.filter(regex="^loss/").notna().all(axis=None)
+
+
+def test_soft_landings_are_rewarded_outside_training_too(compose_config):
+    """What evaluation leaves out, the rewards do not read."""
+    bank = f"env.transforms.falling.bank={FALLS}"
+    cfg = compose_config("experiment=push_to_kneel_softly", bank, "num_envs=2")
+    env = instantiate(cfg.env, training=False)
+    env.set_seed(0)
+    reward = env.rollout(3)["next", "reward"]
+    assert reward.shape == (2, 3, 1)
+    assert reward.isfinite().all()
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_a_laptop_gets_the_same_task(name, compose_config):
+    """Of the task only the physics' time step may differ."""
+    paper, laptop = (
+        compose_config(f"experiment={name}{end}", "num_envs=4").env for end in ("", "_laptop")
+    )
+    laptop.base_env.physics_dt = paper.base_env.physics_dt
+    assert laptop == paper
+
+
+def test_batches_are_those_that_were_published(compose_config):
+    """Steps per update, steps or sequences per minibatch."""
+    sizes = {}
+    for name in PAPERS:
+        cfg = compose_config(f"experiment={name}")
+        sizes[name] = cfg.num_envs * cfg.rollout_steps, cfg
+    batch, cfg = sizes["icub_balance"]
+    assert batch == pytest.approx(10_000, rel=0.01)
+    assert batch / cfg.minibatches == pytest.approx(512, rel=0.03)
+    batch, cfg = sizes["zeroth_fall"]
+    assert cfg.num_envs / cfg.minibatches == 64
+    assert cfg.rollout_steps * 0.02 == pytest.approx(2.0)  # at the 50 Hz of the public template
+
+
+@pytest.mark.parametrize("name", ["atalante_standing", "atalante_standing_laptop"])
+def test_atalante_is_conditioned_for_smoothness(name, compose_config):
+    """L1 in time and squared L2 in space, on the mean; 40 workers for 100 M steps."""
+    cfg = compose_config(f"experiment={name}")
+    caps = cfg.auxiliary_losses.caps
+    assert (caps.temporal_norm, caps.spatial_norm, caps.on_actions) == ("l1", "squared_l2", False)
+    assert caps.temporal_coeff > 0
+    assert caps.spatial_coeff > 0
+    if name == "atalante_standing":
+        assert (cfg.num_envs, cfg.total_frames) == (40, 100_000_000)

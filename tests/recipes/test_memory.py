@@ -1,0 +1,35 @@
+"""Recurrent PPO learns what only a memory can hold."""
+
+import pytest
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from tests.memory_task import STEPS
+from zfall.training.learner import Learner
+
+UPDATES = 60
+
+
+def error_at_the_end(learner: Learner) -> float:
+    """Mean squared error of the policy without exploration, when it is asked."""
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = learner.env.rollout(STEPS, learner.actor, break_when_any_done=False)
+    return -td["next", "reward"][:, -1].mean().item()
+
+
+@pytest.mark.parametrize(("actor", "solved"), [("gru_mog", True), ("mlp_gaussian", False)])
+def test_a_direction_shown_once_is_known_a_second_later_by_a_memory_alone(
+    compose_config, actor, solved
+):
+    """Without memory the least error is 1, that of the action 0."""
+    cfg = compose_config(
+        "num_envs=64", f"rollout_steps={STEPS}", "epochs=4", "minibatches=2", f"actor={actor}",
+        "critic.num_cells=[32]", "loss.lmbda=0.0", "optimizer.lr=5e-3", "scheduler=null",
+    )  # fmt: skip
+    if actor == "gru_mog":
+        cfg.actor.hidden_size, cfg.actor.num_layers, cfg.actor.components = 16, 1, 0
+    cfg.env = {"_target_": "tests.memory_task.make_env", "num_envs": 64}
+    learner = Learner(cfg)
+    for _ in range(UPDATES):
+        learner.learn(learner.collect())
+    error = error_at_the_end(learner)
+    assert error < 0.2 if solved else error > 0.9

@@ -1,0 +1,150 @@
+"""Going on with a run: the same as one not stopped, and nothing lost when it is refused."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from recipes.train import resumed_config, train
+from tests.shell import ROOT, TINY, run
+from zfall import checkpoint
+from zfall.training.learner import Learner
+from zfall.training.run_folder import VERSION, RunFolder
+
+EVENTFUL = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seconds=0.3"]
+REALISTIC = "env=push_recovery_realistic"  # all transforms at once
+RECURRENT = "actor=gru_mog critic=gru loss=icub"  # state of a critic, and of a penalty
+
+
+# A predictor with a memory, and a machine that counts: some worlds begin to kneel.
+KNEELING = (
+    "experiment=push_to_kneel env.transforms.mode.probability=0.5 env.transforms.mode.hold=0.08 "
+    "env.transforms.push.size=[1.0,2.0]"
+)
+
+
+@pytest.mark.parametrize("part", [RECURRENT, REALISTIC, KNEELING])
+def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
+    """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    common = [*TINY, *EVENTFUL, *part.split()]
+    assert run("train", *common, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
+    assert run("train", *common, "total_frames=64", f"hydra.run.dir={parts}").returncode == 0
+    with (parts / "metrics.csv").open("a") as file:
+        file.write("3,96,half a row")
+    done = run("train", f"resume={parts}", "total_frames=128", f"hydra.run.dir={tmp_path}/x")
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(whole / "metrics.csv")
+    assert metrics["episodes"].sum() > 0
+    if part == KNEELING:
+        assert metrics["reward/com_lowering"].iloc[-1] > 0
+    if part == REALISTIC:  # what was drawn and how hard the task is are logged
+        assert metrics["params/foot_friction"].between(0.5, 1.5).all()
+        assert metrics["curriculum/level"].iloc[-1] > 0
+    if part == RECURRENT:
+        assert metrics["loss/kl_coeff"].iloc[-1] != metrics["loss/kl_coeff"].iloc[0]
+    assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
+
+
+def test_resuming_with_another_actor_is_refused(trained, tmp_path):
+    done = run("train", f"resume={trained}", "actor=mlp_mog", f"hydra.run.dir={tmp_path}")
+    assert done.returncode != 0
+    assert "actor must not be given with resume" in done.stderr
+
+
+@pytest.mark.parametrize("where", ["", "/.."])
+def test_a_run_survives_being_resumed_into_its_own_folder(where, tmp_path):
+    folder = tmp_path / "runs" / "one"
+    assert run("train", *TINY, f"hydra.run.dir={folder}").returncode == 0
+    config = (folder / ".hydra" / "config.yaml").read_text()
+    more = [f"resume={folder}", "total_frames=96", f"hydra.run.dir={folder}{where}"]
+    done = run("train", *more)
+    assert done.returncode == 0, done.stderr
+    assert (folder / ".hydra" / "config.yaml").read_text() == config
+    assert pd.read_csv(folder / "metrics.csv")["frames"].tolist() == [32, 64, 96]
+
+
+def test_a_run_is_not_resumed_to_end_before_its_end(trained):
+    before = (trained / "metrics.csv").read_text()
+    done = run("train", f"resume={trained}", "total_frames=32")
+    assert done.returncode != 0
+    assert "total_frames must not be less than the 64 that" in done.stderr
+    assert (trained / "metrics.csv").read_text() == before
+
+
+def test_values_given_anew_are_read_as_hydra_reads_them(trained):
+    """Without spaces, too: not as text that YAML would take apart another way."""
+    state = checkpoint.load(trained / "checkpoints" / "last.pt")
+    given = OmegaConf.create({"showcase": {"sizes": [0.2], "starts": 1, "video": False}})
+    overrides = [f"resume={trained}", "showcase={sizes:[0.2],starts:1,video:false}"]
+    cfg = resumed_config(state["config"], given, overrides, trained)
+    assert cfg.showcase == given.showcase
+    assert cfg.num_envs == OmegaConf.create(state["config"]).num_envs
+
+
+def test_a_run_that_came_to_its_end_was_not_stopped(compose_config, tmp_path, monkeypatch):
+    """Ctrl-c in its last update is too late; in the one before it is not."""
+    for last, ended in ((2, True), (1, False)):
+        learner = Learner(compose_config(*TINY))
+        learn = learner.learn
+
+        def press(batch, learner=learner, learn=learn, last=last):
+            if learner.updates + 1 == last:
+                signal.raise_signal(signal.SIGINT)
+            return learn(batch)
+
+        monkeypatch.setattr(learner, "learn", press)
+        assert train(learner, RunFolder(tmp_path / str(last)), Console(quiet=True)) == ended
+
+
+def test_resuming_leaves_other_folders_alone(trained, tmp_path):
+    """Whatever hydra is told to be its folder: only one that it made, and that is empty, goes."""
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / ".hydra").mkdir()
+    done = run("train", f"resume={trained}", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / ".hydra").exists()
+
+
+def test_a_run_of_another_version_is_not_gone_on_with(trained, tmp_path):
+    content = checkpoint.load(trained / "checkpoints" / "last.pt")
+    content.pop("format")
+    content["run"].pop("version")
+    (tmp_path / "checkpoints").mkdir()
+    checkpoint.save(tmp_path / "checkpoints" / "last.pt", content)
+    (tmp_path / "metrics.csv").write_text("update,falls\n1,3\n")
+    done = run("train", f"resume={tmp_path}", "total_frames=96")
+    assert done.returncode != 0
+    assert f"must be a run of version {VERSION} to go on with it, got None" in done.stderr
+    assert (tmp_path / "metrics.csv").read_text() == "update,falls\n1,3\n"
+
+
+def test_ctrl_c_ends_after_an_update_and_can_be_resumed(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "recipes.train",
+        *TINY,
+        "total_frames=320000",
+        f"hydra.run.dir={tmp_path}",
+    ]
+    process = subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    metrics = tmp_path / "metrics.csv"
+    for _ in range(600):
+        if metrics.exists() and len(metrics.read_text().splitlines()) > 3:
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "resume=" in out.replace("\n", "")
+    state = checkpoint.load(tmp_path / "checkpoints" / "last.pt")
+    assert state["updates"] == len(pd.read_csv(metrics))

@@ -1,0 +1,40 @@
+"""What of another kind than the config takes is refused in one line, by every recipe."""
+
+import pytest
+
+from tests.shell import run
+
+BEST, POSE = "run=best", "run=pose_hold"
+
+
+@pytest.mark.parametrize(
+    ("recipe", "given", "message"),
+    [
+        ("falls", [POSE, "impulses=0.8"], "impulses must be a list, [0.8], got 0.8."),
+        ("falls", [POSE, "times=0.08"], "times must be a list, [0.08], got 0.08."),
+        ("falls", [POSE, "seed=x"], "seed must be a whole number, got x."),
+        ("falls", [POSE, "change=x"], "change must be a list, [x], got x."),
+        (
+            "catches",
+            ["falls=README.md"],
+            "falls must be a file that recipes.falling.falls wrote, README.md",
+        ),
+        ("catches", ["falls=README.md", "speeds=2"], "speeds must be a list, [2], got 2."),
+        ("catches", ["falls=README.md", "rounds=0"], "rounds must be at least 1, got 0."),
+        ("catches", ["falls=README.md", "spread=x"], "spread must be positive and finite, got x."),
+        ("switch", ["recover=best", "kneel=script", "change=3"], "change must be a list, [3]"),
+        ("switch", ["recover=best", "kneel=script", "checkpoint=3"], "checkpoint must be last or"),
+        ("play", [BEST, "video=3"], "video must be true or false, got 3."),
+        ("play", [BEST, "seed=-1"], "seed must be at least 0, got -1."),
+        ("export", [BEST, "change=3"], "change must be a list, [3], got 3."),
+        ("bench", ["seconds=x"], "seconds must be positive and finite, got x."),
+        ("ablate", ["study=control", "results=3"], "results must be the name of a folder, got 3."),
+        ("ablate", ["study=control", "rebuild=x"], "rebuild must be true or false, got x."),
+    ],
+)
+def test_other_kinds_of_values_are_refused_in_one_line(recipe, given, message, tmp_path):
+    done = run(recipe, *given, f"hydra.run.dir={tmp_path}/out")
+    assert done.returncode == 1
+    assert f"error: {message}" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,730 @@
+"""Collecting and learning."""
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import (
+    NormalParamExtractor,
+    TensorDictModule,
+    TensorDictSequential,
+    set_composite_lp_aggregate,
+)
+from torch import nn
+from torch.testing import assert_close
+from torchrl.modules import GRUModule, IndependentNormal, ProbabilisticActor, set_recurrent_mode
+from torchrl.objectives import LossModule
+
+from zfall.losses.burn_in import burnt_in
+from zfall.losses.ppo import PenalizedPPOLoss
+from zfall.modules.actors import normalizer_of
+from zfall.training.learner import Learner
+from zfall.training.metrics import batch_metrics
+
+NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
+            "mlp_shared_mog mlp", "gru_shared_mog mlp"]  # fmt: skip
+
+
+@pytest.fixture(params=NETWORKS)
+def learner(request, compose_config) -> Learner:
+    """After two updates, with pushes and resets all the time."""
+    actor, critic = request.param.split()
+    learner = Learner(
+        compose_config(
+            "num_envs=16", "groups=2", "rollout_steps=16", f"actor={actor}", f"critic={critic}",
+            "env.transforms.limit.seconds=0.3", "env.transforms.push.interval=[0.0,0.1]",
+        )
+    )  # fmt: skip
+    for _ in range(2):
+        learner.learn(learner.collect())
+    return learner
+
+
+def test_policy_has_not_moved_between_collecting_and_learning(learner):
+    """Ratios of 1 across resets, with hidden states and normaliser as they were."""
+    batch = learner.collect()
+    assert batch["next", "done"][:, :-1].any()
+    with torch.no_grad(), set_recurrent_mode(True):
+        learner.advantage(batch)
+    out = learner.loss(batch)
+    assert abs(out["kl_approx"].item()) < 1e-6
+    assert abs(out["max_ratio"].item() - 1) < 1e-4
+
+
+def test_exploring_is_by_the_noise_of_the_env_and_as_likely_as_it_was_said(compose_config):
+    """Nine tenths of it are left a step later; white noise would leave 0 +- 0.01 of 10 000."""
+    noise = "{_target_: zfall.envs.transforms.exploration.CorrelatedNoise, correlation: 0.9}"
+    learner = Learner(
+        compose_config(
+            "num_envs=32", "groups=2", "rollout_steps=16", f"+env.transforms.exploration={noise}"
+        )
+    )
+    batch = learner.collect()
+    with torch.no_grad():
+        policy = learner.actor.get_dist(batch.select(*learner.actor.in_keys)).base_dist
+        drawn = (batch["action"] - policy.loc) / policy.scale
+        learner.advantage(batch)
+    goes_on = ~batch["next", "done"][:, :-1, 0]
+    told = (drawn[:, 1:] * drawn[:, :-1])[goes_on].mean()
+    assert told.item() == pytest.approx(0.9, abs=0.1)
+    assert drawn.std().item() == pytest.approx(1.0, abs=0.1)
+    assert abs(learner.loss(batch)["max_ratio"].item() - 1) < 1e-4
+
+
+def test_advantages_are_those_of_a_plain_loop(compose_config):
+    """delta = r + gamma V(next) (0 if terminated); summed backwards with gamma lambda until done."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=12", "actor.std=1.0", "env.transforms.limit.seconds=0.12",
+                       "env.transforms.terminations.conditions.tilt.angle=0.1")
+    )  # fmt: skip
+    batch = learner.collect()
+    assert batch["next", "terminated"].any()
+    assert batch["next", "truncated"].any()
+    gamma, lmbda = learner.cfg.loss.gamma, learner.cfg.loss.lmbda
+    with torch.no_grad():
+        learner.advantage(batch)
+        value = learner.critic(batch.select("observation_critic"))["state_value"]
+        after = learner.critic(batch["next"].select("observation_critic"))["state_value"]
+    assert_close(
+        batch["advantage"],
+        plain_advantages(batch, value, after, gamma, lmbda),
+        atol=1e-5,
+        rtol=1e-5,
+    )
+
+
+def plain_advantages(
+    batch: TensorDictBase, value: torch.Tensor, after: torch.Tensor, gamma: float, lmbda: float
+) -> torch.Tensor:
+    expected, running = torch.zeros_like(value), torch.zeros_like(value[:, 0])
+    for t in reversed(range(value.shape[1])):
+        step = batch["next"][:, t]
+        delta = step["reward"] + gamma * after[:, t] * ~step["terminated"] - value[:, t]
+        running = delta + gamma * lmbda * running * ~step["done"]
+        expected[:, t] = running
+    return expected
+
+
+def test_what_all_that_began_alike_gained_moves_the_policy_nowhere(compose_config, monkeypatch):
+    """Advantages that differ from one beginning to the other alone; compared by pairs, none is left."""
+
+    def advantages(batch):
+        gained = torch.randn(4, 1, 1).repeat_interleave(2, 0).expand(*batch.shape, 1)
+        value = torch.zeros_like(batch["next", "reward"])
+        batch.update({"advantage": gained.clone(), "value_target": value, "state_value": value})
+
+    falling = "{_target_: zfall.falling.falling_start.FallingStart, before: action, alike: "
+    common = ["num_envs=8", "minibatches=1", "loss.normalize_advantage=null"]
+    moved = []
+    for alike in (1, 2):
+        learner = Learner(
+            compose_config(*common, f"alike={alike}", f"+env.transforms.falling={falling}{alike}}}")
+        )
+        monkeypatch.setattr(learner, "advantage", advantages)
+        before = [p.clone() for p in learner.actor.parameters()]
+        learner.learn(learner.collect())
+        pairs = zip(before, learner.actor.parameters(), strict=True)
+        moved.append(max((old - new).abs().max().item() for old, new in pairs))
+    assert moved[0] > 1e-4
+    assert moved[1] == 0.0
+
+
+@pytest.mark.parametrize("actor", ["gru_mog", "mlp_gaussian"])
+def test_values_and_advantages_of_a_recurrent_critic_are_those_of_a_plain_loop(
+    compose_config, actor
+):
+    """torch's GRU stepped by hand from the stored memory, which a reset inside the batch clears.
+
+    What follows a step is looked at with the memory it left, never with that of the episode that
+    begins there; the second batch goes on from the memory of the first.
+    """
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=12", f"actor={actor}", "critic=gru", "env.transforms.limit.seconds=0.28",
+                       "env.transforms.terminations.conditions.tilt.angle=0.1")
+    )  # fmt: skip
+    encoder, gru, head = (
+        part.module if hasattr(part, "module") else part for part in learner.critic.module
+    )
+    normalizer_of(learner.critic).update(torch.randn(50, len(normalizer_of(learner.critic).mean)))
+    learner.collect()
+    batch = learner.collect()
+    done = batch["next", "done"]
+    assert (done & batch["next", "terminated"])[:, :-1].any()
+    assert (done & batch["next", "truncated"])[:, :-1].any()
+    assert not done[:, -1].all()
+    memory = batch["recurrent_state_critic"][:, 0]
+    assert memory.abs().amax((1, 2)).gt(0).any()
+    value, after = torch.zeros(8, 12, 1), torch.zeros(8, 12, 1)
+
+    def step(observation: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        features, state = gru.gru(
+            encoder(observation).unsqueeze(1), memory.transpose(0, 1).contiguous()
+        )
+        return head(features[:, 0]), state.transpose(0, 1)
+
+    with torch.no_grad(), set_recurrent_mode(True):
+        for t in range(12):
+            memory = torch.where(batch["is_init"][:, t, :, None], 0.0, memory)
+            value[:, t], memory = step(batch["observation_critic"][:, t], memory)
+            after[:, t], _ = step(batch["next", "observation_critic"][:, t], memory)
+        replayed = learner.critic(batch.select(*learner.critic.in_keys))["state_value"]
+        learner.advantage(batch)
+    assert_close(batch["state_value"], value, atol=1e-5, rtol=0)
+    assert_close(replayed, value, atol=1e-5, rtol=0)
+    assert_close(batch["next", "state_value"], after, atol=1e-5, rtol=0)
+    gamma, lmbda = learner.cfg.loss.gamma, learner.cfg.loss.lmbda
+    assert_close(
+        batch["advantage"],
+        plain_advantages(batch, value, after, gamma, lmbda),
+        atol=1e-4,
+        rtol=1e-4,
+    )
+
+
+@pytest.mark.parametrize("aggregated", [False, True])
+def test_whatever_tensordict_calls_log_probabilities(compose_config, aggregated):
+    """Its settings of composite distributions name them, and hold for all actors of a process."""
+    sizes = ("num_envs=4", "rollout_steps=4", "actor=gru_mog", "caps=atalante")
+    with set_composite_lp_aggregate(aggregated):
+        learner = Learner(compose_config(*sizes))
+        batch = learner.collect()
+        losses = learner.learn(batch)
+    assert batch["action_log_prob"].shape == (4, 4)
+    assert losses["loss_objective"] != 0.0
+
+
+def test_every_parameter_learns(learner):
+    modules = torch.nn.ModuleList([learner.actor, learner.critic])
+    before = {name: p.clone() for name, p in modules.named_parameters()}
+    learner.learn(learner.collect())
+    still = [name for name, p in modules.named_parameters() if torch.equal(p, before[name])]
+    assert not still
+
+
+def test_weight_of_the_divergence_adapts_and_is_resumed(compose_config):
+    """A target far below what an update does, then one far above it."""
+    sizes = ("num_envs=8", "rollout_steps=8", "loss=icub")
+    learner = Learner(compose_config(*sizes, "loss.kl_target=1e-6"))
+    for factor in (1.0, 1.5):
+        out = learner.learn(learner.collect())
+        assert out["kl_coeff"] == pytest.approx(0.2 * factor)
+    assert learner.loss.kl_coeff.item() == pytest.approx(0.2 * 1.5**2)
+    resumed = Learner(compose_config(*sizes, "loss.kl_target=1e6"))
+    resumed.load_state_dict(learner.state_dict())
+    out = resumed.learn(resumed.collect())
+    assert out["kl_coeff"] == pytest.approx(0.2 * 1.5**2)
+    assert out["loss_kl"] == pytest.approx(out["kl_coeff"] * out["kl"], rel=1e-3, abs=1e-6)
+    assert resumed.loss.kl_coeff.item() == pytest.approx(0.2 * 1.5**2 / 2)
+
+
+def test_fixed_deviation_and_no_normaliser(compose_config):
+    """The deviation neither learns nor is averaged, and observations go in as they are."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=4", "actor=atalante", "actor.normalize=false", "critic=icub")
+    )  # fmt: skip
+    before = {key: value.clone() for key, value in learner.actor.state_dict().items()}
+    for _ in range(2):
+        learner.learn(learner.collect())
+    moved = {
+        key
+        for key, value in learner.actor.state_dict().items()
+        if not torch.equal(value, before[key])
+    }
+    assert {key for key in before if key not in moved} == {
+        key for key in before if "log_std" in key
+    }
+    assert normalizer_of(learner.actor) is None
+    assert normalizer_of(learner.critic) is None
+    std = learner.policy.get_dist(learner.carrier).variance.sqrt()
+    assert_close(std, torch.full_like(std, 0.1))
+
+
+def test_a_loss_that_is_no_number_ends_the_training(compose_config):
+    """At once: the checkpoint before it stays the last."""
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=4"))
+    broken = torch.tensor(torch.nan, requires_grad=True)
+    learner.auxiliary = [lambda _: TensorDict({"loss_broken": 1.0 * broken})]
+    with pytest.raises(ValueError, match="loss_broken must stay finite, got nan in update 1"):
+        learner.learn(learner.collect())
+
+
+def test_a_gradient_that_is_no_number_is_not_taken(compose_config):
+    """Of a loss that is one: d sqrt(x) / dx at 0, times 0."""
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1")
+    learner = Learner(compose_config(*sizes))
+    weights = learner.parameters[0]
+    before = [parameter.detach().clone() for parameter in learner.parameters]
+    learner.auxiliary = [lambda _: TensorDict({"loss_broken": (0.0 * weights.sum()).sqrt()})]
+    with pytest.raises(ValueError, match="loss gradient must stay finite, got nan in update 1"):
+        learner.learn(learner.collect())
+    for parameter, value in zip(learner.parameters, before, strict=True):
+        assert torch.equal(parameter, value)
+
+
+def test_minibatches_are_as_many_as_asked_and_as_equal_as_can_be(compose_config, monkeypatch):
+    """12 sequences in 8 minibatches: four of two and four of one."""
+    learner = Learner(
+        compose_config("num_envs=12", "rollout_steps=2", "actor=gru_mog", "minibatches=8", "epochs=1")
+    )  # fmt: skip
+    sizes: list[int] = []
+    forward = learner.loss.forward
+
+    def counting(part):
+        sizes.append(len(part))
+        return forward(part)
+
+    monkeypatch.setattr(learner.loss, "forward", counting)
+    learner.learn(learner.collect())
+    assert sorted(sizes) == [1, 1, 1, 1, 2, 2, 2, 2]
+
+
+def test_the_divergence_before_the_only_step_of_an_update_moves_nothing(compose_config):
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1")
+    learner = Learner(compose_config(*sizes, "loss.kl_coeff=0.2", "loss.kl_target=0.01"))
+    rate = learner.optimizer.param_groups[0]["lr"]
+    for _ in range(3):
+        learner.learn(learner.collect())
+    assert learner.optimizer.param_groups[0]["lr"] == rate
+    assert learner.loss.kl_coeff.item() == pytest.approx(0.2)
+
+
+def test_divergence_counts_what_was_drawn(compose_config, monkeypatch):
+    """Of two minibatches the first is of mirrored samples, of which nothing is known."""
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=2")
+    learner = Learner(compose_config(*sizes))
+    known: list[float] = []
+    forward = learner.loss.forward
+
+    def marked(part):
+        return part.set("mirrored", torch.full(part.shape, not known))
+
+    def recording(part):
+        out = forward(part)
+        known.append(out["kl"].item())
+        return out
+
+    learner.augmentation = marked
+    monkeypatch.setattr(learner.loss, "forward", recording)
+    out = learner.learn(learner.collect())
+    assert known[0] == 0.0
+    assert out["kl"] == pytest.approx(known[1])
+    assert known[1] > 1e-6
+
+
+def test_a_scheduler_that_follows_something_else_is_refused(compose_config):
+    """It would be driven with the divergence for its clock."""
+    linear = "{_target_:torch.optim.lr_scheduler.LinearLR,total_iters:400}"
+    with pytest.raises(ValueError, match=r"scheduler must follow the KL divergence.*LinearLR"):
+        Learner(compose_config("num_envs=4", "~scheduler", f"+scheduler={linear}"))
+
+
+def test_burnt_in_sequences_are_what_is_learned_from(compose_config, monkeypatch):
+    """After the augmentation, and before all losses."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=6", "actor=gru_mog", "critic=gru", "burn_in=2",
+                       "symmetry=augmentation", "caps=atalante")
+    )  # fmt: skip
+    shortened, learned = [], []
+    forward = learner.loss.forward
+
+    def cutting(part, modules, cut):
+        assert part.shape[1] == 6
+        assert "mirrored" in part.keys()
+        assert cut == 2
+        shortened.append(burnt_in(part, modules, cut))
+        return shortened[-1]
+
+    def learning(part):
+        learned.append(part)
+        return forward(part)
+
+    monkeypatch.setattr("zfall.training.learner.burnt_in", cutting)
+    monkeypatch.setattr(learner.loss, "forward", learning)
+    learner.learn(learner.collect())
+    assert len(learned) == 5 * 2
+    assert all(
+        part is cut and part.shape[1] == 4 for part, cut in zip(learned, shortened, strict=True)
+    )
+
+
+def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_config):
+    learner = Learner(compose_config("num_envs=6"))
+    learner.collect()
+    td = learner.carrier.clone()
+    rows = torch.tensor([[True], [False]] * 3)
+    td["_reset"] = rows
+    after = learner.env.reset(td)
+    for key, value in after.items(True, True):
+        if key in td.keys(True, True) and key != "_reset":
+            assert torch.equal(value[1::2], td[key][1::2]), key
+
+
+def test_policy_is_the_running_average_of_the_actor(compose_config):
+    """After actors a, b, c, with 0.8 for what came before: 0.64 a + 0.8 b + c, over 2.44."""
+    sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1", "averaging=0.8")
+    learner = Learner(compose_config(*sizes))
+    expected: dict[str, torch.Tensor] = {}
+    for weight in (0.64, 0.8, 1.0):
+        learner.learn(learner.collect())
+        for name, value in learner.actor.named_parameters():
+            share = weight / 2.44 * value.detach()
+            expected[name] = expected.get(name, 0.0) + share
+    for name, value in learner.policy.named_parameters():
+        assert_close(value.detach(), expected[name])
+    buffers = dict(learner.actor.named_buffers())
+    for name, value in learner.policy.named_buffers():  # the normaliser is that of the actor
+        assert torch.equal(value, buffers[name])
+    assert any(
+        not torch.equal(a, b)
+        for a, b in zip(learner.policy.parameters(), learner.actor.parameters(), strict=True)
+    )
+
+
+def test_sigma_by_name_finds_its_place_in_the_observation(compose_config):
+    """projected_gravity 3, base_angular_velocity 3, joint_position 20, joint_velocity 20, target 20."""
+    sigma = "auxiliary_losses.caps.sigma={joint_velocity:0.2,projected_gravity:0.1}"
+    learner = Learner(compose_config("num_envs=2", "caps=atalante", sigma))
+    expected = torch.zeros(46)
+    expected[:3], expected[26:46] = 0.1, 0.2
+    assert_close(learner.auxiliary[0].sigma[:46], expected)
+    assert not learner.auxiliary[0].sigma[46:].any()
+
+
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, actor):
+    """How much the action without exploration changes from step to step, after some updates."""
+    rough = {}
+    for weight in (0.0, 3.0):
+        caps = [f"auxiliary_losses.caps.{term}_coeff={weight}" for term in ("temporal", "spatial")]
+        learner = Learner(
+            compose_config(
+                "num_envs=16", "rollout_steps=16", f"actor={actor}", "caps=atalante", *caps
+            )
+        )
+        for _ in range(4):
+            losses = learner.learn(learner.collect())
+        assert set(losses) >= {"loss_temporal", "loss_spatial"}
+        caps_loss = learner.auxiliary[0]
+        caps_loss.temporal_coeff = caps_loss.spatial_coeff = 1.0
+        rough[weight] = caps_loss(learner.collect())
+    for term in ("loss_temporal", "loss_spatial"):
+        assert rough[3.0][term] < 0.7 * rough[0.0][term]
+
+
+def test_a_shared_normaliser_counts_every_observation_once(compose_config):
+    learner = Learner(
+        compose_config("num_envs=4", "rollout_steps=3", "env=atalante_standing", "critic.normalize=shared")
+    )  # fmt: skip
+    assert normalizer_of(learner.critic) is normalizer_of(learner.actor)
+    for _ in range(2):
+        learner.learn(learner.collect())
+    assert normalizer_of(learner.critic).count == 2 * 12
+
+
+def test_passes_end_when_the_policy_has_moved_far_enough(compose_config):
+    """The first pass whose divergence, known from trainings of so many passes, is above it."""
+    sizes = ("num_envs=16", "rollout_steps=8")
+    kl = []
+    for epochs in range(1, 6):
+        learner = Learner(compose_config(*sizes, f"epochs={epochs}"))
+        kl.append(learner.learn(learner.collect())["kl"])
+    between = (kl[0] + max(kl)) / 2
+    expected = next(i for i, value in enumerate(kl, 1) if value > between)
+    assert 1 < expected < 5  # so that neither bound of the passes gives it
+    for stop, passes in ((1e-9, 1), (between, expected), (1e9, 5)):
+        learner = Learner(compose_config(*sizes, f"loss.kl_stop={stop}"))
+        assert learner.learn(learner.collect())["passes"] == passes
+
+
+@pytest.mark.parametrize("over", ["batch", "minibatch", "null"])
+def test_advantages_are_normalised_over_what_is_asked(compose_config, over):
+    learner = Learner(
+        compose_config("num_envs=16", "rollout_steps=8", f"loss.normalize_advantage={over}")
+    )
+    seen = []
+    forward = learner.loss.forward
+    learner.loss.forward = lambda part: seen.append(part["advantage"].clone()) or forward(part)
+    learner.learn(learner.collect())
+    whole = torch.cat(seen[:2])  # the two minibatches of the first pass
+    assert learner.loss.normalize_advantage == (over == "minibatch")
+    normal = abs(whole.mean()) < 1e-5 and abs(whole.std() - 1) < 1e-3
+    assert normal == (over == "batch")
+
+
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
+    """The error of mirror images after some updates, with and without either way."""
+    error = {}
+    for name in ("none", "loss", "augmentation"):
+        learner = Learner(
+            compose_config("num_envs=16", "rollout_steps=8", f"actor={actor}", f"symmetry={name}")
+        )
+        if name == "loss":
+            learner.auxiliary[0].coeff = 3.0
+        for _ in range(5):
+            losses = learner.learn(learner.collect())
+        assert ("loss_symmetry" in losses) == (name == "loss")
+        measure = Learner(
+            compose_config("num_envs=16", "rollout_steps=8", f"actor={actor}", "symmetry=loss")
+        )
+        measure.actor.load_state_dict(learner.actor.state_dict())
+        error[name] = measure.auxiliary[0](measure.collect())["loss_symmetry"].item()
+    assert error["loss"] < 0.3 * error["none"]
+    assert error["augmentation"] < error["none"]
+
+
+@pytest.mark.parametrize(("share", "rows"), [(0.25, 16), (1.0, 64), (0.001, 1)])
+def test_losses_beside_ppos_see_a_share_of_each_minibatch(compose_config, share, rows):
+    learner = Learner(
+        compose_config("num_envs=16", "rollout_steps=8", "caps=atalante", f"auxiliary_share={share}")
+    )  # fmt: skip
+    seen = []
+    (caps,) = learner.auxiliary
+    learner.auxiliary = [lambda part: seen.append(len(part)) or caps(part)]
+    learner.learn(learner.collect())
+    assert seen == [rows] * 10  # of two minibatches of 64 in each of five passes
+
+
+@pytest.mark.parametrize("actor", ["mlp_mog", "gru_mog"])
+def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compose_config, actor):
+    """Their values and gradients, with the actions of PPO's pass and with passes of their own."""
+    options = (
+        "num_envs=16",
+        "rollout_steps=12",
+        f"actor={actor}",
+        "auxiliary_share=0.5",
+        "env.transforms.limit.seconds=0.36",
+    )  # nine steps: ends within the second batch
+    learner = Learner(compose_config(*options, "caps=atalante", "symmetry=loss"))
+    for parameter in learner.actor.parameters():  # away from a policy that does nothing
+        parameter.data.add_(torch.randn_like(parameter), alpha=0.1)
+    learner.learn(learner.collect())
+    batch = learner.collect()
+    begins = batch["is_init"][:8]
+    assert not begins[:, 0].any()  # memories are of more than nothing
+    assert begins[:, 1:].any()
+    with torch.no_grad(), set_recurrent_mode(True):
+        learner.advantage(batch)
+    part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
+    taken = {"deterministic_action": ["loss_temporal", "loss_symmetry"],
+             "mirrored_action": ["loss_symmetry"]}  # fmt: skip
+    if actor == "gru_mog":
+        taken["neighbour_action"] = ["loss_spatial"]
+    found = []
+    for known in (True, False):
+        torch.manual_seed(0)  # of the neighbours
+        with set_recurrent_mode(True):
+            out, some, actions = learner._ppo(part)
+            assert {loss.companion_key for loss in actions} == {*taken} - {"deterministic_action"}
+            for loss, asked in actions.items():
+                some[loss.companion_key] = asked
+            if not known:
+                out, some = learner.loss(part), some.exclude(*taken)
+        torch.manual_seed(0)
+        values = {k: v for loss in learner.auxiliary for k, v in loss(some).items()}
+        values |= {k: v for k, v in out.items() if k.startswith("loss_")}
+        learner.optimizer.zero_grad()
+        sum(values.values()).backward()
+        gradient = [p.grad.clone() for p in learner.parameters]
+        found.append((values, gradient))
+        if known:  # and they do take them
+            for action, keys in taken.items():
+                moved = some.copy().update({action: 2 * some[action]})
+                changed = {k: v for loss in learner.auxiliary for k, v in loss(moved).items()}
+                assert all(changed[key] > 1.1 * values[key] for key in keys)
+    beside = ("loss_temporal", "loss_spatial", "loss_symmetry")
+    assert all(found[0][0][key] > 1e-6 for key in beside)
+    assert sum(g.abs().sum() for g in found[0][1]) > 1e-3
+    assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
+
+
+def test_two_losses_of_the_same_name_are_refused(compose_config):
+    second = "+auxiliary_losses.again={_target_: zfall.losses.caps.CAPSLoss, on_actions: true}"
+    cfg = compose_config("num_envs=4", "rollout_steps=4", "caps=atalante", second)
+    rule = r"losses.again must write .* loss_temporal is written by auxiliary_losses.caps already"
+    with pytest.raises(ValueError, match=rule):
+        Learner(cfg)
+
+
+def gru_of_torchrl(observation_spec, action_spec):
+    """Its module, which takes the memory that is stored where an episode begins in a sequence."""
+    size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
+    gru = GRUModule(input_size=size, hidden_size=16, in_keys=["observation", "recurrent_state_own",
+                    "is_init"], out_keys=["features", ("next", "recurrent_state_own")])  # fmt: skip
+    head = nn.Sequential(nn.Linear(16, 2 * joints), NormalParamExtractor())
+    module = TensorDictSequential(
+        gru, TensorDictModule(head, in_keys=["features"], out_keys=["loc", "scale"])
+    )
+    actor = ProbabilisticActor(
+        module, in_keys=["loc", "scale"], distribution_class=IndependentNormal, return_log_prob=True
+    )
+    actor.select_out_keys("action", "action_log_prob", ("next", "recurrent_state_own"))
+    return actor
+
+
+def test_a_recurrent_actor_made_of_torchrls_module_replays_what_it_did(compose_config):
+    """Before the first step the divergence is 0, across episodes that begin in a sequence."""
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=12", "epochs=1", "minibatches=1",
+                       "env.transforms.limit.seconds=0.36", "caps=atalante", "~actor",
+                       "+actor={_target_: tests.test_learner.gru_of_torchrl}")
+    )  # fmt: skip
+    for _ in range(2):
+        batch = learner.collect()
+        means = learner.learn(batch)
+    assert batch["is_init"][:, 1:].any()
+    assert abs(means["kl"]) < 1e-6
+    (caps,) = learner.auxiliary
+    assert caps.companions(batch) is None  # that module lends no memory: CAPS asks it by itself
+    assert means["loss_spatial"] > 0
+
+
+class LossWithItsOwnPass(PenalizedPPOLoss):
+    """Asks the actor itself for what its actions are drawn from."""
+
+    def _get_cur_log_prob(self, tensordict, params=None):
+        distribution = self.actor_network.get_dist(tensordict)
+        return distribution.log_prob(tensordict["action"]), distribution, False
+
+
+def test_a_ppo_loss_with_a_pass_of_its_own_goes_with_losses_that_ask_for_companions(compose_config):
+    own = "+loss._target_=tests.test_learner.LossWithItsOwnPass"
+    learner = Learner(compose_config("num_envs=4", "rollout_steps=4", own, "symmetry=loss"))
+    assert learner.learn(learner.collect())["loss_symmetry"] > 0
+
+
+def test_the_order_of_sequences_changes_nothing(compose_config):
+    """Loss and gradients of a minibatch of sequences, in two orders."""
+    learner = Learner(
+        compose_config("num_envs=12", "rollout_steps=10", "actor=gru_mog", "critic=gru",
+                       "env.transforms.limit.seconds=0.3")
+    )  # fmt: skip
+    learner.collect()
+    batch = learner.collect()
+    assert batch["is_init"][:, 1:].any()
+    with torch.no_grad(), set_recurrent_mode(True):
+        learner.advantage(batch)
+        for parameter in learner.parameters:
+            parameter.add_(0.02 * torch.randn_like(parameter))
+    found = []
+    for rows in (torch.arange(12), torch.randperm(12)):
+        learner.optimizer.zero_grad()
+        out = learner.loss(batch[rows])
+        sum(value for key, value in out.items() if key.startswith("loss_")).backward()
+        found.append([out["loss_objective"], *(p.grad.clone() for p in learner.parameters)])
+    assert found[0][1].abs().max() > 1e-3
+    assert_close(found[0], found[1], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("target", "factor"), [(1e-6, 1 / 1.5), (1e6, 1.5)])
+def test_the_learning_rate_follows_the_divergence(compose_config, target, factor):
+    """One step down where an update moves the policy by more than twice the target, or up."""
+    sizes = ("num_envs=8", "rollout_steps=8")
+    learner = Learner(compose_config(*sizes, f"scheduler.target_kl={target}"))
+    rate = learner.optimizer.param_groups[0]["lr"]
+    for update in (1, 2):
+        learner.learn(learner.collect())
+        assert learner.optimizer.param_groups[0]["lr"] == pytest.approx(rate * factor**update)
+
+
+def test_another_optimizer_than_adam(compose_config):
+    """NAdam knows nothing of ``fused``, which is there for Adam; SGD does."""
+    names = {"torch.optim.NAdam": None, "torch.optim.SGD": True}
+    for name, fused in names.items():
+        learner = Learner(compose_config("num_envs=4", f"optimizer._target_={name}"))
+        learner.learn(learner.collect())
+        assert f"torch.optim.{type(learner.optimizer).__name__}" == name
+        assert learner.optimizer.defaults.get("fused") is fused
+
+
+class LossOfItsOwn(LossModule):
+    """With a layer that nothing would train."""
+
+    def __init__(self, actor):
+        super().__init__()
+        self.actor, self.decoder = actor, torch.nn.Linear(3, 1)
+
+
+FAULTS = [
+    (["auxiliary_share=0"], r"auxiliary_share must lie in \(0, 1\], got 0"),
+    (["critic.normalize=shared", "actor.normalize=false"], "needs an actor that has a normaliser"),
+    (["burn_in=8"], r"burn_in must lie in \[0, rollout_steps\), got 8"),
+    (["burn_in=2"], "burn_in must be 0 without memory to refresh, got 2"),
+    (["loss.normalize_advantage=epoch"], "must be minibatch, batch or null, got epoch"),
+    (["symmetry=loss", "env=zeroth_fall", "+env.transforms.stack={_target_: torchrl.envs.CatFrames, N: 2, dim: -1, in_keys: [observation], out_keys: [observation]}"],
+     "a mirrored observation must be one vector"),
+    (["+auxiliary_losses.own={_target_: tests.test_learner.LossOfItsOwn}"],
+     "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
+    (["+auxiliary_losses.own={_target_: nowhere.Loss}"],
+     r"auxiliary_losses.own._target_ must name .* got nowhere.Loss: No module named 'nowhere'"),
+    (["+auxiliary_losses.own=3"], "auxiliary_losses.own must be a table whose _target_ .* got 3"),
+    (["augmentation={_target_: 4}"], "augmentation._target_ must be the dotted path .*, got 4"),
+    (["+auxiliary_losses.own={_target_: math.pi}"], "own._target_ must name .* it cannot be called"),
+    (["+auxiliary_losses.own={_target_: a..b}"], "auxiliary_losses.own._target_ must name some"),
+    (["caps=atalante", "+auxiliary_losses.caps.neighbour_key=near"],
+     "auxiliary_losses.caps must read what env or networks give, not near"),
+    (["caps=atalante", "symmetry=augmentation", "+auxiliary_losses.caps.neighbour_key=near"],
+     "auxiliary_losses.caps.neighbour_key must be observation_neighbour for the augmentation"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("overrides", "message"), FAULTS, ids=[o[0] for o, _ in FAULTS])
+def test_faults_are_refused_before_the_first_step(compose_config, overrides, message):
+    with pytest.raises(ValueError, match=message):
+        Learner(compose_config("num_envs=4", "rollout_steps=8", *overrides))
+
+
+class Counting(LossModule):
+    """A loss that remembers how often it was asked."""
+
+    def __init__(self, actor_network):
+        super().__init__()
+        self.in_keys = ["observation"]
+        self.register_buffer("times", torch.zeros(()))
+
+    def forward(self, tensordict):
+        self.times += 1
+        return TensorDict({"loss_own": 0.0 * tensordict["observation"].mean()})
+
+
+def test_what_a_loss_and_the_scheduler_remember_is_resumed(compose_config):
+    """Two passes of three minibatches."""
+    own = "+auxiliary_losses.own={_target_: tests.test_learner.Counting}"
+    sizes = ("num_envs=4", "rollout_steps=4", "epochs=2", "minibatches=3")
+    learner = Learner(compose_config(own, *sizes))
+    learner.learn(learner.collect())
+    assert learner.auxiliary[0].times == 6
+    resumed = Learner(compose_config(own, *sizes))
+    resumed.load_state_dict(learner.state_dict())
+    assert resumed.auxiliary[0].times == 6
+    assert resumed.scheduler.last_kl == learner.scheduler.last_kl > 0
+
+
+class Misnamed(LossModule):
+    """A loss whose value nobody would add."""
+
+    def __init__(self, actor_network):
+        super().__init__()
+        self.in_keys = ["observation"]
+
+    def forward(self, tensordict):
+        return TensorDict({"size": tensordict["observation"].mean()})
+
+
+def test_a_loss_under_another_name_is_refused(compose_config):
+    own = "+auxiliary_losses.own={_target_: tests.test_learner.Misnamed}"
+    learner = Learner(compose_config(own, "num_envs=4", "rollout_steps=4"))
+    with pytest.raises(ValueError, match=r"Misnamed must write .*loss_, wrote size"):
+        learner.learn(learner.collect())
+
+
+def test_a_task_needs_no_terminations_no_divergence_and_no_table_of_its_reward(compose_config):
+    without = ("env.transforms.terminations=null", "env.transforms.limit.seconds=0.2")
+    learner = Learner(compose_config(*without, "num_envs=4", "rollout_steps=8"))
+    batch = learner.collect()
+    seen = batch.exclude(("next", "reward_terms"), ("next", "diverged"))
+    metrics = batch_metrics(seen, learner.carrier, 0.04)
+    assert metrics["episodes"] == 4  # of five steps
+    assert metrics["terminated"] == 0
+    assert metrics["episode_seconds"] == pytest.approx(0.2)
+    assert not any(key.startswith(("termination/", "reward/", "diverged")) for key in metrics)
+    learner.learn(batch)

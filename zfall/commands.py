@@ -1,0 +1,22 @@
+"""What a person at the shell is told: commands to type next, paths as short as they can be."""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+
+def shell_line(recipe: str, *arguments: str) -> str:
+    """What to type to start a recipe with the Python that runs now."""
+    return " ".join([shown_path(Path(sys.executable)), "-m", f"recipes.{recipe}", *arguments])
+
+
+def shown_path(path: Path) -> str:
+    """A path as short as it can be from here."""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+def remove_if_empty(folder: Path) -> None:
+    """Removes what hydra made before it was known whether anything would be put into it."""
+    with suppress(OSError):  # it holds something
+        folder.rmdir()

@@ -1,0 +1,60 @@
+"""The yaml of the recipes, found and composed wherever zfall is installed.
+
+In a clone it lies in ``recipes/`` beside the package, in an installed wheel in ``zfall/recipes``.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig
+
+_PACKAGE = Path(__file__).parent
+
+
+def config_folder() -> Path:
+    """The folder of the recipes' yaml."""
+    installed = _PACKAGE / "recipes"
+    return installed if installed.is_dir() else _PACKAGE.parent / "recipes"
+
+
+def options_of(group: str) -> list[str]:
+    """Names of the yaml files of a group, ``options_of("env")``."""
+    return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
+
+
+def compose_config(overrides: Sequence[str] = (), recipe: str = "train") -> DictConfig:
+    """The config of a recipe as the shell would compose it.
+
+    Inside a running recipe its own search path counts, with folders that ``--config-dir`` adds.
+
+    Args:
+        overrides: as on the command line.
+        recipe: whose config.
+
+    Raises:
+        HydraException: on overrides that do not fit.
+    """
+    if _recipe_runs():
+        return compose(recipe, overrides=list(overrides))
+    with _without_other_hydra(), initialize_config_dir(str(config_folder()), version_base=None):
+        return compose(recipe, overrides=list(overrides))
+
+
+def _recipe_runs() -> bool:
+    """Whether the hydra that runs, if any, is that of a recipe of ours."""
+    hydra = GlobalHydra.instance().hydra
+    return hydra is not None and "quickstart" in hydra.config_loader.get_group_options("experiment")
+
+
+@contextmanager
+def _without_other_hydra() -> Iterator[None]:
+    """Sets aside the hydra of the program around us: there can be only one at a time."""
+    other = GlobalHydra.instance().hydra
+    GlobalHydra.instance().hydra = None
+    try:
+        yield
+    finally:
+        GlobalHydra.instance().hydra = other

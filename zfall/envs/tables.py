@@ -1,0 +1,111 @@
+"""The yaml table of a task: what may be changed in it, and what two of them must share."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from hydra.utils import get_object, instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from zfall.fingerprints import digest, file_digest
+from zfall.robots import ZEROTH01, Robot
+from zfall.simulation.model import identity_of
+
+INTERFACE = ("action", "observation")  # transforms by which a policy acts and sees
+
+
+def robot_of(cfg: DictConfig) -> Robot:
+    """The robot of the config of an env."""
+    robot = cfg.base_env.get("robot")
+    return ZEROTH01 if robot is None else instantiate(robot)
+
+
+def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
+    """The env's config with some of its values replaced, ``transforms.mode.angle=0.4``.
+
+    Raises:
+        ValueError: on a key that is not there, or something else than a list.
+    """
+    if isinstance(changes, str) or not isinstance(changes, Sequence):
+        raise ValueError(f"change must be a list, [{changes}], got {changes}.")
+    for change in map(str, changes):
+        key = change.partition("=")[0]
+        if OmegaConf.select(env_cfg, key, default="missing") == "missing":
+            raise ValueError(f"change must name a value of the env, there is no {key}.")
+    new = env_cfg.copy()  # keeps what it refers to outside of itself
+    for change in map(str, changes):
+        key = change.partition("=")[0]
+        OmegaConf.update(new, key, OmegaConf.select(OmegaConf.from_dotlist([change]), key))
+    return new
+
+
+def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
+    """The env's config with some of what evaluation leaves out kept on: noise, delays.
+
+    Raises:
+        ValueError: on a name that is not left out.
+    """
+    training_only = OmegaConf.select(env_cfg, "training_only", default={})
+    unknown = [name for name in names if name not in training_only]
+    if unknown:
+        raise ValueError(
+            f"keep must name what evaluation leaves out ({', '.join(training_only)}), "
+            f"got {unknown[0]}."
+        )
+    kept = env_cfg.copy()
+    for name in names:
+        kept.training_only[name] = False
+    return kept
+
+
+def check_same_interface(configs: dict[str, DictConfig]) -> None:
+    """Refuses policies, by name the config of each, that do not see or do the same.
+
+    Raises:
+        ValueError: naming what differs.
+    """
+    names = " and ".join(configs)
+    for key in (*(f"transforms.{name}" for name in INTERFACE), "base_env.control_dt"):
+        values = [OmegaConf.select(cfg.env, key) for cfg in configs.values()]
+        if any(value != values[0] for value in values):
+            key, values = _where_they_differ(key, values)
+            found = " and ".join(map(str, values))
+            raise ValueError(f"{names} must have the same env.{key}, got {found}.")
+
+
+def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:
+    """The first key inside of configs that are not equal whose values differ, and these."""
+    while all(isinstance(value, DictConfig) for value in values):
+        inside = dict.fromkeys(str(name) for value in values for name in value)
+        found = {name: [value.get(name, "nothing") for value in values] for name in inside}
+        differing = (n for n, those in found.items() if any(x != those[0] for x in those))
+        name = next(differing, None)
+        if name is None:
+            break
+        key, values = f"{key}.{name}", found[name]
+    return key, values
+
+
+def env_digest(env_cfg: DictConfig) -> str:
+    """Tells a world from all others, by its config, its robot, and the files that it reads.
+
+    Those are what the classes and functions of the table name by ``reads_files``.
+    """
+    text, robot = OmegaConf.to_yaml(env_cfg, resolve=True), robot_of(env_cfg)
+    read: dict[str, str] = {}
+    for node in _targets(OmegaConf.to_container(env_cfg, resolve=True)):
+        paths = getattr(get_object(node["_target_"]), "files_read", None)
+        for path in paths(node, robot) if paths else ():
+            if path.is_file():  # else its reader says so
+                name = node["_target_"].rpartition(".")[2]
+                read[name] = read.get(name, "") + file_digest(path)
+    return digest({"env": text, "robot": identity_of(robot), "files": read})
+
+
+def _targets(value: Any) -> list[dict[str, Any]]:
+    """All parts of a config that name a class or function."""
+    if isinstance(value, list):
+        return [node for entry in value for node in _targets(entry)]
+    if not isinstance(value, dict):
+        return []
+    own = [value] if isinstance(value.get("_target_"), str) else []
+    return own + [node for entry in value.values() for node in _targets(entry)]

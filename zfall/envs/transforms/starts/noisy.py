@@ -1,0 +1,63 @@
+"""Starts in the standing pose with noise."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.values import per_world, two_numbers
+
+
+class NoisyStart(Transform):
+    """Starts episodes in the standing pose with Gaussian noise, over the floor or on it.
+
+    Writes ``("start", "joint_position")`` [rad] and ``("start", "joint_velocity")`` [rad/s]
+    ``(N, J)`` for the reset of the base env; angles are clamped to the joint ranges. With a
+    clearance also ``("start", "clearance")`` ``(N, 1)`` [m].
+
+    Args:
+        env: the base env.
+        joint_position: standard deviation of each angle [rad].
+        joint_velocity: standard deviation of each speed [rad/s].
+        clearance: smallest and largest height of the lowest corner of the soles above the floor
+            [m], uniform; what is drawn below 0 is 0. On the floor if ``null``.
+
+    Raises:
+        ValueError: on a negative standard deviation, or a clearance that is no range.
+    """
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        joint_position: float = 0.0,
+        joint_velocity: float = 0.0,
+        clearance: Sequence[float] | None = None,
+    ):
+        super().__init__()
+        for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
+            if std < 0:
+                raise ValueError(f"{name} must not be negative, got {std}.")
+        self.clearance = None if clearance is None else list(two_numbers("clearance", clearance))
+        if self.clearance is not None and not self.clearance[0] <= self.clearance[1]:
+            raise ValueError(f"clearance must be [smallest, largest], got {list(self.clearance)}.")
+        self.joint_position, self.joint_velocity = joint_position, joint_velocity
+        self.rng, self.stand, self.range = env.rng, env.stand_position, env.joint_range
+        self.num_envs = env.num_envs
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        noise = torch.randn(2, self.num_envs, len(self.stand), generator=self.rng)
+        low, high = self.range.unbind(-1)
+        angle = self.stand + per_world(self.joint_position, 2) * noise[0]
+        tensordict["start", "joint_position"] = torch.clamp(angle, low, high)
+        tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[1]
+        if self.clearance is not None:
+            least, most = (per_world(bound, 2) for bound in self.clearance)
+            u = torch.rand(self.num_envs, 1, generator=self.rng)
+            tensordict["start", "clearance"] = torch.clamp_min(least + (most - least) * u, 0.0)
+        return tensordict

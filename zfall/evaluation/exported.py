@@ -1,0 +1,145 @@
+"""An exported policy in battery planar: its network by onnxruntime, its world by dm_control.
+
+Observation and action are the task's own; that ``policy.json`` says the same of the action is
+checked in every step.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from dm_control.mujoco import wrapper
+from dm_control.rl import control
+from numpy.typing import NDArray
+from omegaconf import DictConfig
+
+from zfall.envs.dm_task import TableTask
+from zfall.envs.tables import robot_of
+from zfall.evaluation.battery import arrange, battery_env
+from zfall.evaluation.definitions import Battery, plan_pushes, plan_trials, those_of
+from zfall.evaluation.metrics import Outcomes
+from zfall.evaluation.statistics import summarize
+from zfall.simulation.dm_control import Physics
+
+
+class OnnxPolicy:
+    """``policy.onnx`` with its memory, and what ``policy.json`` says of its action.
+
+    Args:
+        path: of ``policy.onnx``.
+        about: content of ``policy.json``.
+
+    Raises:
+        ValueError: without onnxruntime.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Any]):
+        try:
+            import onnxruntime  # an extra of the package
+        except ModuleNotFoundError:
+            raise ValueError('planar needs: .venv/bin/pip install -e ".[export]"') from None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self.session: Any = onnxruntime.InferenceSession(str(path), options)
+        self.about = about
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets."""
+        shape = self.about["memory_shape"]
+        self.memory = None if shape is None else np.zeros(shape, dtype=np.float32)
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The action ``(J,)`` for an observation ``(D,)``."""
+        inputs = {"observation": observation[None]}
+        inputs |= {} if self.memory is None else {"memory": self.memory}
+        action, *rest = self.session.run(None, inputs)
+        self.memory = rest[0] if rest else None
+        return action[0]
+
+    def target(self, action: NDArray[np.float32]) -> NDArray[np.float64]:
+        """What a robot that knows ``policy.json`` alone sends to its servos ``(J,)`` [rad]."""
+        about = self.about
+        target = np.array(about["reference_rad"]) + about["scale_rad"] * action
+        return np.clip(target, about["low_rad"], about["high_rad"])
+
+
+def run_exported(
+    battery: Battery,
+    env_cfg: DictConfig,
+    policy: OnnxPolicy,
+    *,
+    seed: int = 0,
+    only: Sequence[int] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> pd.DataFrame:
+    """The trials of a planar battery one after the other.
+
+    Args:
+        battery: the definition.
+        env_cfg: config of the env, as in ``recipes/env``.
+        policy: what is exported.
+        seed: of the battery.
+        only: numbers of the trials to run; all if ``None``.
+        progress: is told the number of trials done and their total.
+
+    Returns:
+        One row per trial, as ``run_battery`` gives it; and ``target_error`` [rad], the largest
+        distance of the targets from those of ``policy.json``.
+
+    Raises:
+        ValueError: on an unknown trial, or if the task ends an episode before a trial is over.
+    """
+    env_cfg = env_cfg.copy()  # a trial ends by the battery's rules, not by the task's
+    env_cfg.transforms.terminations = None
+    trials = plan_trials(battery, robot_of(env_cfg).impulse_unit, seed)
+    pushes = plan_pushes(battery, trials)
+    env, start, push = battery_env(battery, env_cfg, 1)
+    base = env.base_env
+    physics = Physics.from_model(wrapper.MjModel(base.simulation.model))
+    physics.robot = base.robot
+    task = TableTask(env, physics, random=seed)
+    face = control.Environment(physics, task, n_sub_steps=base.substeps)
+    steps = round(battery.end_time / base.control_dt)
+    rows = those_of(trials, only)
+    results = []
+    for done, trial in enumerate(rows.index):
+        arrange(battery, trials.loc[[trial]], pushes[np.array([trial])], base, start, push)
+        policy.reset()
+        outcomes, now, error = Outcomes(base, battery), face.reset(), 0.0
+        for step in range(steps):
+            action = policy(now.observation["observation"])
+            now = face.step(action)
+            outcomes.update(task.outcome)
+            off = task.outcome["target"][0].numpy() - policy.target(action)
+            error = max(error, float(np.abs(off).max()))
+            if outcomes.settled.all():
+                break
+            if now.last() and step < steps - 1:
+                raise ValueError(f"episodes must last {battery.end_time} s, one ended before.")
+        results.append(outcomes.table().assign(target_error=error))
+        progress(done + 1, len(rows))
+    table = pd.concat(results, ignore_index=True)
+    return pd.concat([rows.reset_index(drop=True), table], axis=1)
+
+
+def agreement(battery: Battery, exported: pd.DataFrame, own: pd.DataFrame) -> str:
+    """How the pushed trials of both ended, in a few lines: the same trials in the same order."""
+    pushed = (exported["impulse"] > 0).to_numpy()
+    theirs, ours = (trials["recovered"].to_numpy()[pushed] for trials in (exported, own))
+    alike, more, less = (theirs == ours).sum(), (theirs & ~ours).sum(), (ours & ~theirs).sum()
+    lines = [
+        f"{alike} of {len(ours)} pushed trials end alike, {more} are recovered from only as "
+        f"exported, {less} only in zfall"
+    ]
+    for name, trials in (("as exported", exported), ("in zfall", own)):
+        summary = summarize(battery, trials)
+        lines.append(
+            f"{name}: recovered {trials['recovered'][pushed].mean():.3f}, I50 mean "
+            f"{summary['i50_mean']:.3f}, least {summary['i50_min']:.2f}, falls without a push "
+            f"{summary['control_falls']} of {summary['control_n']}"
+        )
+    error = exported["target_error"].max()
+    return "\n".join([*lines, f"targets are those of policy.json to {error:.1g} rad"])

@@ -1,0 +1,154 @@
+"""What a training run shows at its end: a short battery, plots and a film."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from omegaconf import DictConfig
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from zfall.commands import shell_line, shown_path
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.tables import robot_of
+from zfall.evaluation.battery import battery_env, play, run_battery
+from zfall.evaluation.candidate import held
+from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.pendulum import references
+from zfall.evaluation.plots import learning_curves, success_map
+from zfall.evaluation.report import write_report
+from zfall.evaluation.statistics import summarize
+from zfall.evaluation.summaries import write_summary
+from zfall.evaluation.video import film
+
+SIDES = {
+    "from behind": 0.0,
+    "from the right": 90.0,
+    "from the front": 180.0,
+    "from the left": 270.0,
+}
+
+
+def show(
+    cfg: DictConfig,
+    actor: torch.nn.Module,
+    untrained: dict[str, Tensor],
+    folder: Path,
+    console: Console,
+) -> None:
+    """Runs a short ``planar`` battery before and after training and of ``pose_hold``.
+
+    Writes plots, ``video.mp4`` and ``summary.json`` into the run folder and prints a table.
+    """
+    battery = load_battery("planar", impulses=list(cfg.showcase.sizes), starts=cfg.showcase.starts)
+    trained = {key: value.clone() for key, value in actor.state_dict().items()}
+    with console.status("short planar battery"):
+        actor.load_state_dict(untrained)
+        before = run_battery(battery, cfg.env, actor)
+        actor.load_state_dict(trained)
+        after = run_battery(battery, cfg.env, actor)
+        baseline = run_battery(battery, held(cfg.env), None)
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    summaries = {
+        "before": summarize(battery, before),
+        "after": summarize(battery, after),
+        "pose_hold": summarize(battery, baseline),
+    }
+    write_summary(folder, summaries)
+    learning_curves(pd.read_csv(folder / "metrics.csv"), plots / "learning_curves.png")
+    title = "share recovered, short planar"
+    lines = references(robot_of(cfg.env), battery.durations[0])
+    success_map(after, plots / "planar.png", title=title, baseline=baseline, lines=lines)
+    console.print(table(summaries))
+    if cfg.showcase.video:
+        with console.status("video"):
+            video(battery, cfg.env, actor, folder / "video.mp4", console)
+    console.print(f"run folder: {shown_path(folder)}")
+    console.print("  metrics.csv, timing.csv, tensorboard/, checkpoints/{last,best}.pt")
+    film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
+    console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
+    console.print(f"  {write_report(folder).name}")
+    line = shell_line("evaluate", f"run={shown_path(folder)}", "battery=planar")
+    console.print(f"next: {line}", soft_wrap=True)
+
+
+def table(summaries: dict[str, dict[str, Any]]) -> Table:
+    """Success by impulse and the headline figures, one column per policy."""
+    first = next(iter(summaries.values()))
+    duration = first["definition"]["duration"]
+    title = f"planar, {first['n']} trials each: share recovered, 95 % interval"
+    out = Table(title=title, box=SIMPLE)
+    out.add_column(f"push I (N for {duration:g} s)")
+    for name in summaries:
+        out.add_column(name, justify="right")
+    for key in first["success"]:
+        cells = [
+            f"{100 * s['success'][key]:3.0f} %  [{100 * s['success_low'][key]:.0f}, "
+            f"{100 * s['success_high'][key]:.0f}]"
+            for s in summaries.values()
+        ]
+        out.add_row(f"{key} ({first['force_n'][key]:.0f} N)", *cells)
+    label = (
+        "mean I50" if len(first["success"]) > 9 else f"mean I50 (of {', '.join(first['success'])})"
+    )
+    out.add_row(label, *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
+    falls = (f"{s['control_falls']} of {s['control_n']}" for s in summaries.values())
+    out.add_row("falls without a push", *falls)
+    return out
+
+
+def video(
+    battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
+) -> None:
+    """Films a push of I = 0.4 from four sides, the policy above ``pose_hold``."""
+    still = record(battery, held(env_cfg), None)
+    rows = {"trained": record(battery, env_cfg, actor), "pose_hold": still}
+    states = {name: qpos for name, (qpos, _) in rows.items()}
+    env, _, _ = battery_env(battery, env_cfg, 64)
+    base = env.base_env
+    try:
+        film(base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=frame(base))
+    except RuntimeError as error:
+        console.print(f"no video: {error}")
+
+
+def frame(env: HumanoidEnv) -> float:
+    """Time between two frames of the film: whole control steps, about 0.08 s."""
+    return max(1, round(0.08 / env.control_dt)) * env.control_dt
+
+
+def record(
+    battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.4
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side.
+
+    One every ``frame`` seconds of 3.6 s, of which 0.6 lie before the push, which comes when that of
+    the battery does; a force is the largest since the frame before.
+    """
+    env, _, push = battery_env(battery, env_cfg, 64)
+    base = env.base_env
+    force = size * base.robot.impulse_unit / battery.durations[0]
+    for index, degrees in enumerate(SIDES.values()):
+        heading = math.radians(degrees)
+        push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])
+    push.time[:] = battery.push_time
+    start = max(0, round((battery.push_time - 0.6) / base.control_dt))
+    qpos, forces = [], []
+    every = round(frame(base) / base.control_dt)
+    recent: list[np.ndarray] = []
+    steps = start + round(3.6 / base.control_dt)
+    for step, td in enumerate(play(env, actor, steps), start=-start):
+        if step < 0:
+            continue
+        recent.append(td["push", "force"][:4].numpy().copy())
+        if step % every == 0:
+            qpos.append(base.simulation.qpos[:4].numpy().copy())
+            forces.append(max(recent, key=lambda force: float(np.abs(force).sum())))
+            recent = []
+    return np.stack(qpos), np.stack(forces)

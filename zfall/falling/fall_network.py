@@ -1,0 +1,92 @@
+"""A small recurrent network that says how likely a fall is."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from zfall import checkpoint
+from zfall.falling.files import ASSETS
+from zfall.fingerprints import reads_files
+from zfall.modules.normalization import ObservationNormalizer
+
+_SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
+SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # what the one that ships was trained with
+
+
+class FallNetwork(nn.Module):
+    """Probability that a fall can no longer be avoided, from a sequence of measurements.
+
+    A GRU reads normalised measurements; a linear layer gives the logit, which a calibration scales:
+    ``p = sigmoid(slope * logit + offset)``.
+
+    Args:
+        size: length of the measurements.
+        hidden_size: of the GRU.
+    """
+
+    slope: Tensor
+    offset: Tensor
+    trained_with: dict[str, Any] | None = None  # keys in order, and control_dt [s]
+
+    def __init__(self, size: int, hidden_size: int = 32):
+        super().__init__()
+        self.normalizer = ObservationNormalizer(size)
+        self.gru = nn.GRU(size, hidden_size, batch_first=True)
+        self.out = nn.Linear(hidden_size, 1)
+        self.register_buffer("slope", torch.ones(()))
+        self.register_buffer("offset", torch.zeros(()))
+
+    @property
+    def hidden_size(self) -> int:
+        """Width of the memory."""
+        return self.gru.hidden_size
+
+    def logits(self, sequence: Tensor, memory: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Raw logits ``(N, T)`` of sequences ``(N, T, D)``, and the memory after ``(N, H)``."""
+        before = None if memory is None else memory[None].contiguous()
+        features, after = self.gru(self.normalizer(sequence), before)
+        return self.out(features).squeeze(-1), after[0]
+
+    def forward(self, measurement: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Calibrated probability ``(N, 1)`` after one step ``(N, D)``, and the new memory."""
+        logit, after = self.logits(measurement[:, None], memory)
+        return torch.sigmoid(self.slope * logit + self.offset), after
+
+
+def fall_network_path(path: str | None) -> Path:
+    """The file that a name or path stands for, see ``load_fall_network``."""
+    shipped = ASSETS / (path or "zeroth01_fall_network.pt")
+    return (
+        shipped if path is None or (shipped.is_file() and not Path(path).exists()) else Path(path)
+    )
+
+
+def save_fall_network(network: FallNetwork, path: Path) -> None:
+    """Writes the weights, the sizes, and what it was trained with."""
+    sizes = {"size": network.gru.input_size, "hidden_size": network.hidden_size}
+    content = {"sizes": sizes, "trained_with": network.trained_with}
+    checkpoint.save(path, content | {"fall_network": network.state_dict()})
+
+
+@reads_files(lambda values, robot: [fall_network_path(values.get("path"))])
+def load_fall_network(path: str | None = None) -> FallNetwork:
+    """The network of a file that ``recipes.falling.trigger`` wrote.
+
+    Args:
+        path: of the file, or the name of one that ships in ``zfall/falling/assets``; ``None``:
+            ``zeroth01_fall_network.pt``, which sees proprioception alone.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    content = checkpoint.load(fall_network_path(path))
+    if "fall_network" not in content:
+        raise ValueError(
+            f"path must be a file of recipes.falling.trigger, {path} is of another kind."
+        )
+    network = FallNetwork(**content["sizes"])
+    network.load_state_dict(content["fall_network"])
+    network.trained_with = SHIPPED if path is None else content.get("trained_with")
+    return network.eval()

@@ -1,0 +1,201 @@
+"""Starts in the midst of recorded falls."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
+from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.falling.files import own_file
+from zfall.fingerprints import reads_files
+
+SEEN_KEYS = ("target", "feet_force", "com_velocity")  # what a policy sees and no state tells
+
+OF_JOINTS = ("joint_position", "joint_velocity", "target")
+
+
+@reads_files(lambda values, robot: [Path(values.get("bank") or own_file(robot, "falls.npz"))])
+class FallingStart(Transform):
+    """Starts episodes in the midst of falls, states recorded from a policy that was pushed.
+
+    Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
+    others begin as what comes before it in the table says. ``python -m recipes.falling.falls`` records.
+    Of these worlds it also writes what was seen then, ``SEEN_KEYS``, if the bank has them: the
+    target that the servos had, as ``("start", "target")`` ``(N, J)`` [rad], not a number in the
+    other worlds; the forces on the feet, which depend on it and on the push; and the velocity of
+    the center of mass, which sensors tell of the begin of a physics step. A policy that sees at
+    first what it never sees later, the reference as its target, does something else there. Comes
+    before what reads these.
+
+    Args:
+        env: the base env.
+        bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
+        share: of the episodes that begin in a fall.
+        pushed: whether what is left of a push at that moment goes on, at the torso, where those
+            of the bank must have been (``recipes.falling.falls 'points=[torso]'``); ``falling_impulse``
+            ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force``
+            ``(K, 3)`` [N; world], ``push_left`` ``(K, 1)`` [s] and all ``SEEN_KEYS``, too.
+            ``falling_speed`` ``(N, 1)`` [m/s] is how fast the center of mass will move along the
+            ground once all of the push has acted, reckoned at the begin of the episode.
+        alike: worlds in a row that begin in the same state, if they begin in the same step.
+
+    Raises:
+        ValueError: if the file is missing, is of another robot, lacks pushes that are to go on or
+            numbers, if the share is not in (0, 1], ``alike`` is no number of worlds, or something
+            that reads what it writes stands before it.
+    """
+
+    force: Tensor
+    left: Tensor
+    speed: Tensor
+
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        bank: str | None = None,
+        share: float = 1.0,
+        pushed: bool = False,
+        alike: int = 1,
+    ):
+        super().__init__()
+        if type(alike) is not int or alike < 1:
+            raise ValueError(f"alike must be a whole number, at least 1, got {alike}.")
+        if not 0 < share <= 1:
+            raise ValueError(f"share must lie in (0, 1], got {share}.")
+        if pushed and bank is None:
+            raise ValueError(
+                "bank must name a file of recipes.falling.falls 'points=[torso]' for pushed=true, "
+                "got null: the robot's own has pushes at the pelvis, too."
+            )
+        path = own_file(env.robot, "falls.npz") if bank is None else Path(bank)
+        if not path.is_file():
+            raise ValueError(
+                f"bank must be a file that recipes.falling.falls wrote, there is no {path}."
+            )
+        rest = ("push_force", "push_left") if pushed else ()
+        with np.load(path) as file:
+            seen = SEEN_KEYS if pushed or all(key in file for key in SEEN_KEYS) else ()
+            lacking = [key for key in (*STATE_KEYS, *rest, *seen) if key not in file]
+            if lacking:
+                raise ValueError(
+                    f"bank must be a file that recipes.falling.falls wrote, {path} lacks {lacking[0]}: "
+                    "record it again."
+                )
+            states = {
+                key: torch.from_numpy(file[key]).float().flatten(1)
+                for key in (*STATE_KEYS, *rest, *seen)
+            }
+        of_joints = [value.shape[1] for key, value in states.items() if key in OF_JOINTS]
+        if set(of_joints) != {len(env.stand_position)}:
+            raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
+        count = len(states["joint_position"])
+        for key, value in states.items():
+            if len(value) != count or not value.isfinite().all():
+                raise ValueError(
+                    f"bank must hold {count} rows of numbers under every key, as for "
+                    f"joint_position; {path} does not for {key}: record it again."
+                )
+        self.share, self.pushed, self.alike = share, pushed, alike
+        self.num_envs, self.rng = env.num_envs, env.rng
+        self.sizes = {key: value.shape[-1] for key, value in states.items()}
+        self.table = torch.cat(list(states.values()), -1)
+        self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # but the target, of the start
+        base = torch.tensor(env.simulation.model.key("stand").qpos).float()
+        self.stand = {  # of the other worlds, whose soles are put on the floor
+            "base_position": torch.full((3,), torch.nan),
+            "base_orientation": base[3:7],
+            "joint_position": env.stand_position,
+        }
+        if not pushed:
+            return
+        self.torso, self.add_force = env.push_target("torso"), env.add_force
+        self.control_dt, self.physics_dt = env.control_dt, env.physics_dt
+        self.number = torch.arange(env.substeps)
+        self.register_buffer("force", torch.zeros(env.num_envs, 3))
+        self.register_buffer("left", torch.zeros(env.num_envs, 1))
+        self.mass = env.mass
+        self.register_buffer("speed", torch.zeros(env.num_envs, 1))
+
+    def attach(self, transforms: Mapping[str, Transform]) -> None:
+        """Looks whether what reads ``SEEN_KEYS`` comes after it."""
+        own = next(name for name, t in transforms.items() if t is self)
+        for name, transform in transforms.items():
+            if transform is self:
+                return
+            late = [key for key in self.seen if key in (transform.in_keys or ())]
+            if late:
+                raise ValueError(
+                    f"transforms.{own} must come before {name}, which reads {late[0]}: give it "
+                    f"before: {name}."
+                )
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=[self.num_envs])
+        # All rows are drawn, so that the random stream does not depend on who fell.
+        count = -(-self.num_envs // self.alike)
+        row = torch.randint(len(self.table), (count,), generator=self.rng)
+        chance = torch.rand(count, 1, generator=self.rng)
+        siblings = torch.arange(self.num_envs) // self.alike
+        row, chance = row[siblings], chance[siblings]
+        falls = chance < per_world(self.share, 2)
+        drawn = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
+        values = dict(zip(self.sizes, drawn, strict=True))
+        for name in self.seen:
+            self.seen[name] = torch.where(falls, values.pop(name), torch.nan)
+        target = values.pop("target", None)
+        if target is not None:
+            tensordict["start", "target"] = torch.where(falls, target, torch.nan)
+        if self.pushed:
+            new = reset_rows(tensordict)[:, None]
+            for name in ("force", "left"):
+                value = torch.where(falls, values.pop(f"push_{name}"), 0.0)
+                setattr(self, name, torch.where(new, value, getattr(self, name)))
+        for name, value in values.items():
+            there = tensordict.get(("start", name), None)
+            if there is None:
+                there = self.stand.get(name, torch.zeros_like(value)).expand_as(value)
+            tensordict["start", name] = torch.where(falls, value, there)
+        return tensordict
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        if self.pushed:
+            next_tensordict.set("falling_impulse", self.force * self.left)
+            next_tensordict.set("falling_speed", self.speed)
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        if self.pushed:
+            gained = self.force * self.left / self.mass
+            speed = (tensordict_reset["com_velocity"] + gained)[:, :2].norm(dim=-1, keepdim=True)
+            self.speed = torch.where(reset_rows(tensordict)[:, None], speed, self.speed)
+        for name, value in self.seen.items():
+            there = tensordict_reset[name]
+            seen = value.view_as(there)
+            tensordict_reset.set(name, torch.where(seen.isnan(), there, seen))
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        if self.pushed:
+            observation_spec["falling_impulse"] = Unbounded((*observation_spec.shape, 3))
+            observation_spec["falling_speed"] = Unbounded((*observation_spec.shape, 1))
+        return observation_spec
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        # Without keys of the inverse pass: they would place it before the starts that it replaces.
+        if not self.pushed or not (self.left > 0).any():
+            return tensordict
+        rows = (self.left[:, 0] > 0).nonzero()[:, 0]
+        steps = (self.left[rows] / self.physics_dt).round()
+        acts = (self.number < steps)[..., None] * self.force[rows, None]
+        self.left = (self.left - self.control_dt).clamp_min(0.0)
+        return self.add_force(tensordict, self.torso, acts, rows)

@@ -1,0 +1,116 @@
+"""Falls to one side shown to a policy as falls to the other."""
+
+from collections.abc import Mapping
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Composite
+from torchrl.envs import Transform
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.mirror import Mirror, mirror_vector
+from zfall.envs.transforms.observations import (
+    CAPSNeighbours,
+    NormalizedVector,
+    ObservationVector,
+)
+from zfall.envs.transforms.observations.measured import read_measured
+from zfall.envs.transforms.observations.vector import vector_spans
+from zfall.falling.kneel_reference import KneelReference
+from zfall.falling.modes import RECOVER
+from zfall.rotations import turn_to_heading
+
+
+class MirroredFalls(Transform):
+    """Shows falls to the left in a mirror, so that a policy has to catch those to the right alone.
+
+    To which side a world falls is decided by the velocity of its center of mass, in the robot's
+    heading, in the step in which it leaves mode RECOVER, and holds until it recovers again or the
+    episode ends; an episode that begins in another mode has to begin in a fall. If to the left,
+    what policy and critic see is reflected, left and right as well as the y axis of the world,
+    and ``KneelReference`` reflects what the policy does, along with its own movement. The policy
+    so learns from twice as many falls, as far as the robot is symmetric: angles that the arm on
+    the other side cannot take are cut to its range.
+
+    Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
+    sensing wrote it; writes ``fall_mirrored`` ``(N, 1)`` bool and changes what the
+    ``ObservationVector`` and ``NormalizedVector`` of the table wrote. Comes after all of these.
+
+    Args:
+        env: the base env.
+
+    Raises:
+        ValueError: without a ``KneelReference`` or a mode, if it is out of order, or if an
+            observation holds a quantity without a known image, or actions, which are those of the
+            reflected world already.
+    """
+
+    measured = ("base_orientation", "com_velocity")
+
+    def __init__(self, env: HumanoidEnv):
+        super().__init__(in_keys=["mode"], out_keys=["fall_mirrored"])
+        self.robot, self.joint_range = env.robot, env.joint_range
+        self.vectors: dict[str, ObservationVector | NormalizedVector] = {}
+        self.images: dict[str, Mirror] = {}
+
+    def attach(self, transforms: Mapping[str, Transform]) -> None:
+        """Finds the vectors of the table, and lets its ``KneelReference`` know."""
+        own = next(name for name, t in transforms.items() if t is self)
+        references = [t for t in transforms.values() if isinstance(t, KneelReference)]
+        if not references:
+            raise ValueError(
+                f"transforms.{own} needs a KneelReference, which reflects what the policy does."
+            )
+        references[0].mirrored = True
+        names = list(transforms)
+        for name, transform in transforms.items():
+            before = names.index(name) < names.index(own)
+            if isinstance(transform, ObservationVector | NormalizedVector):
+                self.vectors[name] = transform
+                if not before:
+                    raise ValueError(f"transforms.{own} must come after {name}, to reflect it.")
+            if isinstance(transform, CAPSNeighbours) and before:
+                raise ValueError(f"transforms.{own} must come before {name}, which is to be close.")
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        fell = tensordict["mode"][:, RECOVER, None] == 0
+        left = torch.where(fell, tensordict["fall_mirrored"], _to_the_left(next_tensordict))
+        return self._reflect(next_tensordict, left)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._reflect(tensordict_reset, _to_the_left(tensordict_reset))
+
+    def _reflect(self, tensordict: TensorDictBase, left: Tensor) -> TensorDictBase:
+        mirrored = left & (tensordict["mode"][:, RECOVER, None] == 0)
+        for key, image in self.images.items():
+            vector = tensordict[key]
+            tensordict[key] = torch.where(mirrored, image(vector), vector)
+        return tensordict.set("fall_mirrored", mirrored)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        if "mode" not in observation_spec.keys():
+            raise ValueError("MirroredFalls needs the key mode: put a ModeMachine before it.")
+        for name, vector in self.vectors.items():
+            actions = [key for key in vector.keys if key in ("action", "last_action")]
+            if actions:
+                raise ValueError(
+                    f"transforms.{name}.keys must hold no actions with MirroredFalls, which the "
+                    f"policy gave in the reflected world, got {actions[0]}."
+                )
+            spans = vector_spans(observation_spec, vector.keys)
+            affine = getattr(vector, "affine", None)
+            (key,) = vector.out_keys
+            self.images[key] = mirror_vector(self.robot, spans, self.joint_range, affine)
+        shape = (*observation_spec.shape, 1)
+        observation_spec["fall_mirrored"] = Binary(shape=shape, dtype=torch.bool)
+        return observation_spec
+
+
+def _to_the_left(tensordict: TensorDictBase) -> Tensor:
+    """Whether worlds move to the left of where they face ``(N, 1)`` bool."""
+    velocity = read_measured(tensordict, "com_velocity")[:, :2]
+    orientation = read_measured(tensordict, "base_orientation")
+    return turn_to_heading(orientation, velocity)[:, 1:] > 0

@@ -1,0 +1,205 @@
+"""Reference motions of the whole robot: standing, and walks made from pendulum gaits."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from zfall.envs.humanoid import STATE_KEYS
+from zfall.motions.gaits import Gait, Times, center_of_mass, feet
+from zfall.robots import ZEROTH01, Robot
+
+_WALK = {
+    "step_time": 0.3,
+    "double_support": 0.03,
+    "half_width": 0.055,
+    "lift": 0.012,
+    "com_height": ZEROTH01.com_height,
+}
+# Atalante has walked at 0.15 m/s with its wearers (Gurriet et al. 2018), 0.07 m/s for this robot.
+GAITS = {
+    **{f"forward_{v:.2f}": Gait(speed=v, **_WALK) for v in (0.05, 0.10, 0.15, 0.20)},
+    **{f"backward_{v:.2f}": Gait(speed=-v, **_WALK) for v in (0.05, 0.10)},
+    **{f"turn_left_{r:.1f}": Gait(turn_rate=r, **_WALK) for r in (0.5, 1.0)},
+    **{f"turn_right_{r:.1f}": Gait(turn_rate=-r, **_WALK) for r in (0.5, 1.0)},
+}
+PHASES = 60  # stored of each stride
+_PRECISION, _ITERATIONS = 1e-10, 30  # of Newton's method [m, rad]
+
+States = dict[str, NDArray[np.floating]]
+
+
+class Motion(NamedTuple):
+    """States that follow each other at equal times and then repeat.
+
+    period: of the motion [s], 0 for a rest.
+    states: by name, one of ``STATE_KEYS``, values ``(K, ...)`` float32.
+    """
+
+    period: float
+    states: States
+
+
+def make_motions(robot: Robot, gaits: Mapping[str, Gait]) -> dict[str, Motion]:
+    """The standing pose at rest, ``standing``, and walks, ``PHASES`` states of a stride each."""
+    motions = {"standing": Motion(0.0, standing(robot))}
+    for name, gait in gaits.items():
+        begin, end = gait.stride
+        time = begin + (end - begin) / PHASES * np.arange(PHASES)
+        motions[name] = Motion(end - begin, walk(robot, gait, time))
+    return motions
+
+
+def standing(robot: Robot) -> States:
+    """The standing reference pose at rest, one state."""
+    model = mujoco.MjModel.from_xml_path(robot.mjcf)
+    return _states(robot, model, model.key("stand").qpos[None], np.zeros((1, model.nv)))
+
+
+def walk(robot: Robot, gait: Gait, time: Times) -> States:
+    """States of the robot at times of a stride, of names ``STATE_KEYS`` ``(T, ...)`` float64.
+
+    The trunk is upright and heads along the line, the arms keep the standing pose. Joints of the
+    legs and position of the base follow from the poses of both soles and the position of the
+    robot's center of mass, 15 equations, by Newton's method on MuJoCo's kinematics; velocities
+    from the same Jacobian J by ``J v = (velocities of soles and center of mass)``.
+
+    Raises:
+        ValueError: if the legs do not reach so far, or a joint would leave its range.
+    """
+    model = mujoco.MjModel.from_xml_path(robot.mjcf)
+    data = mujoco.MjData(model)
+    soles = [int(model.sensor_objid[model.sensor(f"feet_position/{f}").id]) for f in robot.feet]
+    moving = np.array([0, 1, 2, *(dof for sole in soles for dof in _leg(model, sole))])
+    soles_to, center = feet(gait, time), center_of_mass(gait, time)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
+    data.qpos[:2] = center.position[0].real, center.position[0].imag
+    qpos, qvel = np.empty((len(time), model.nq)), np.zeros((len(time), model.nv))
+    for k in range(len(time)):
+        data.qpos[3:7] = _upright(gait.turn_rate * time[k])
+        com = np.array([center.position[k].real, center.position[k].imag, gait.com_height])
+        aims = list(zip(soles, soles_to.position[k], soles_to.heading[k], strict=True))
+        jacobian = _solve(model, data, moving, aims, com, gait)
+        rates = np.zeros(15)
+        rates[[0, 1, 2, 6, 7, 8]] = soles_to.velocity[k].ravel()
+        rates[[5, 11]] = soles_to.turn_rate[k]
+        rates[12:14] = center.velocity[k].real, center.velocity[k].imag
+        qvel[k, 5] = gait.turn_rate
+        qvel[k, moving] = np.linalg.solve(jacobian[:, moving], rates - jacobian @ qvel[k])
+        qpos[k] = data.qpos
+    joints = model.dof_jntid[moving[3:]]
+    angles, (low, high) = qpos[:, model.jnt_qposadr[joints]], model.jnt_range[joints].T
+    outside = ((angles < low) | (angles > high)).any(0)
+    if outside.any():
+        name = model.joint(joints[outside][0]).name
+        raise ValueError(f"gait must keep {name} in its range, got {gait}.")
+    return _states(robot, model, qpos, qvel)
+
+
+def _solve(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    moving: NDArray[np.int64],
+    aims: list[tuple[int, NDArray[np.float64], float]],
+    com: NDArray[np.float64],
+    gait: Gait,
+) -> NDArray[np.float64]:
+    """Moves the degrees of freedom ``moving`` until soles and center of mass are in place.
+
+    Returns the Jacobian there ``(15, nv)``: of each sole's position and rotation, of the center
+    of mass.
+    """
+    for _ in range(_ITERATIONS):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        jacobian, error = np.zeros((15, model.nv)), np.zeros(15)
+        for row, (sole, position, heading) in zip((0, 6), aims, strict=True):
+            shift, turn = jacobian[row : row + 3], jacobian[row + 3 : row + 6]
+            mujoco.mj_jacSite(model, data, shift, turn, sole)
+            error[row : row + 3] = position - data.site_xpos[sole]
+            error[row + 3 : row + 6] = _rotation_to(data.site_xmat[sole], _upright(heading))
+        mujoco.mj_jacSubtreeCom(model, data, jacobian[12:], 1)
+        error[12:] = com - data.subtree_com[1]
+        if np.abs(error).max() < _PRECISION:
+            return jacobian
+        step = np.zeros(model.nv)
+        try:
+            step[moving] = np.linalg.solve(jacobian[:, moving], error)
+        except np.linalg.LinAlgError:  # a leg is stretched
+            break
+        mujoco.mj_integratePos(model, data.qpos, step, 1.0)
+    raise ValueError(f"gait must be within reach of the legs, got {gait}.")
+
+
+def _leg(model: mujoco.MjModel, sole: int) -> list[int]:
+    """Degrees of freedom between the base and a sole."""
+    dofs: list[int] = []
+    body = model.site_bodyid[sole]
+    while model.body_parentid[body] != 0:
+        dofs += range(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body])
+        body = model.body_parentid[body]
+    return dofs
+
+
+def _upright(heading: float) -> NDArray[np.float64]:
+    return np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+
+
+def _rotation_to(
+    matrix: NDArray[np.float64], quaternion: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rotation vector from one orientation to the other [rad; world axes]."""
+    have, vector = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(have, matrix)
+    mujoco.mju_subQuat(vector, quaternion, have)
+    return matrix.reshape(3, 3) @ vector
+
+
+def _states(
+    robot: Robot, model: mujoco.MjModel, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
+) -> States:
+    joints = [model.joint(name) for name in robot.joints]
+    parts = (
+        qpos[:, [int(joint.qposadr[0]) for joint in joints]],
+        qvel[:, [int(joint.dofadr[0]) for joint in joints]],
+        *(qpos[:, :3], qpos[:, 3:7], qvel[:, :3], qvel[:, 3:6]),
+    )
+    return dict(zip(STATE_KEYS, parts, strict=True))
+
+
+def motions_file(robot: Robot) -> Path:
+    """Where a robot's motions are stored, beside its MJCF."""
+    return Path(robot.mjcf).with_name(f"{robot.name}_motions.npz")
+
+
+def save_motions(motions: dict[str, Motion], path: Path) -> None:
+    """Writes motions in a row, float32."""
+    arrays: dict[str, NDArray] = {
+        key: np.concatenate([m.states[key] for m in motions.values()]).astype(np.float32)
+        for key in STATE_KEYS
+    }
+    arrays["name"] = np.array(list(motions))
+    arrays["period"] = np.array([motion.period for motion in motions.values()])
+    arrays["count"] = np.array([len(m.states["joint_position"]) for m in motions.values()])
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def load_motions(robot: Robot) -> dict[str, Motion]:
+    """The motions that ship with a robot, by name.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    path = motions_file(robot)
+    if not path.exists():
+        raise ValueError(f"robot must have reference motions, {robot.name} lacks {path}.")
+    with np.load(path, allow_pickle=False) as file:
+        ends = np.cumsum(file["count"])[:-1]
+        parts = {key: np.split(file[key], ends) for key in STATE_KEYS}
+        return {
+            str(name): Motion(float(period), {key: parts[key][i] for key in STATE_KEYS})
+            for i, (name, period) in enumerate(zip(file["name"], file["period"], strict=True))
+        }

@@ -1,0 +1,153 @@
+"""Policies from run folders and those that ship."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import TransformedEnv
+from torchrl.modules.utils import get_primers_from_module
+
+from zfall import checkpoint as checkpoints
+from zfall.envs.tables import changed, check_same_interface, robot_of
+from zfall.modules.actors import recurrent_keys
+from zfall.simulation.model import identity_of
+
+POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A trained policy and the task it was trained in.
+
+    Attributes:
+        name: a run folder, or the name of a policy that ships.
+        actor: reads ``observation`` ``(*B, D)`` and hidden states, writes ``action`` ``(*B, J)``.
+        config: of its training: ``env``, ``actor`` and the rest; what ``changes`` replaced is in it.
+        card: what is known of it, in Markdown; empty of a run folder.
+    """
+
+    name: str
+    actor: torch.nn.Module
+    config: DictConfig
+    card: str
+
+    def env(self, num_envs: int = 1, *, training: bool = False) -> TransformedEnv:
+        """Its task with this many worlds.
+
+        Args:
+            num_envs: number of worlds N.
+            training: whether pushes, noise, delays and randomisation of the training act.
+        """
+        env = instantiate(self.config.env, base_env={"num_envs": num_envs}, training=training)
+        if recurrent_keys(self.actor):  # the env carries the hidden states
+            env.append_transform(get_primers_from_module(self.actor))
+        return env
+
+
+def load_policy(
+    run: str | Path, *, checkpoint: str = "last", changes: Sequence[str] = ()
+) -> Policy:
+    """A policy by its name: ``load_policy("best")``, or of a run folder.
+
+    Args:
+        run: a run folder, or the name of a policy that ships.
+        checkpoint: of a run folder, ``last`` or ``best``.
+        changes: values of its env to replace, ``["transforms.mode.angle=0.4"]``.
+
+    Raises:
+        ValueError: if there is no such policy, its checkpoint does not fit, or a change names
+            nothing.
+    """
+    path = checkpoint_of(str(run), checkpoint)
+    content = checkpoints.load(path)
+    config = OmegaConf.create(content["config"])
+    config.env = changed(config.env, list(changes))
+    card = path.with_suffix(".md")
+    text = card.read_text() if path.parent == POLICIES and card.is_file() else ""
+    return Policy(str(run), policy_of(content, config.env, path), config, text)
+
+
+def checkpoint_of(
+    run: str, name: str = "last", *, key: str = "run", others: Sequence[str] = ()
+) -> Path:
+    """The file of a run folder's policy, or of one that ships.
+
+    Args:
+        run: the folder, or the name of the policy.
+        name: of the checkpoint, ``last`` or ``best``.
+        key: what to call it, should there be none.
+        others: what else may stand there.
+
+    Raises:
+        ValueError: if there is neither.
+    """
+    if name not in ("last", "best"):
+        raise ValueError(f"checkpoint must be last or best, got {name}.")
+    if not isinstance(run, str):
+        raise ValueError(f"{key} must be the name of one folder or policy, got {run}.")
+    path = shipped(run)
+    if path.exists():
+        return path
+    if not Path(run).is_dir():
+        ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
+        raise ValueError(
+            f"{key} must be a run folder, or one of {', '.join((*others, *ship))}; "
+            f"there is no folder {run}."
+        )
+    check_holds_run(Path(run), key)
+    return Path(run) / "checkpoints" / f"{name}.pt"
+
+
+def check_holds_run(folder: Path, key: str) -> None:
+    """Refuses a folder that holds no checkpoint, naming the newest run below it.
+
+    Raises:
+        ValueError: if there is no such folder, or it is not that of a run.
+    """
+    if (folder / "checkpoints").is_dir():
+        return
+    if not folder.is_dir():
+        raise ValueError(f"{key} must be a run folder, there is no folder {folder}.")
+    below = [path for depth in ("*", "*/*") for path in folder.glob(f"{depth}/checkpoints")]
+    newest = max(below, key=lambda path: path.stat().st_mtime, default=folder).parent
+    hint = f"; the newest run in it is {newest}" if below else ""
+    raise ValueError(f"{key} must be a run folder, {folder} has no checkpoints{hint}.")
+
+
+def shipped(name: str) -> Path:
+    """File of a policy that ships with the package."""
+    return POLICIES / f"{name}.pt"
+
+
+def policy_of(content: dict[str, Any], env_cfg: DictConfig, path: Path) -> torch.nn.Module:
+    """The policy of a checkpoint, for the env of this config; raises if it does not fit."""
+    env = instantiate(env_cfg, base_env={"num_envs": 1})
+    actor_cfg = OmegaConf.create(content["config"]).actor
+    actor: torch.nn.Module = instantiate(actor_cfg, env.observation_spec, env.action_spec)
+    checkpoints.check_fits(content, identity_of(env.base_env.robot), actor, path)
+    actor.load_state_dict(content["policy"])
+    return actor
+
+
+def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
+    """The policy of a run, for a training by the config of the ``pupil`` to learn from.
+
+    Raises:
+        ValueError: if there is no such run, or its policy sees or does something else; ``key`` is
+            where it is named.
+    """
+    if not (isinstance(run, str) and run):
+        raise ValueError(f"{key} must be a run folder or a policy that ships, got {run!r}.")
+    path = checkpoint_of(run, key=key)
+    content = checkpoints.load(path)
+    cfg = OmegaConf.create(content["config"])
+    check_same_interface({run: cfg, "this run": pupil})
+    robot = identity_of(robot_of(pupil.env))
+    if content["robot"] != robot:
+        raise ValueError(f"{key} must be of the robot {robot}, {run} is of {content['robot']}.")
+    return policy_of(content, cfg.env, path)

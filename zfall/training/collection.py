@@ -1,0 +1,157 @@
+"""The worlds of a training, in groups that take turns."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from tensordict import NestedKey, TensorDictBase
+from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type
+from torchrl.modules.utils import get_primers_from_module
+
+from zfall.simulation.turns import in_turns, physics_first
+
+PAYS_FROM = 256  # worlds in all: with fewer, two calls take longer than the physics beside them
+
+
+def group_sizes(num_envs: int, groups: int | None) -> list[int]:
+    """How many worlds each group has, as equal as can be; ``groups`` as in ``recipes.train``.
+
+    Raises:
+        ValueError: if there are none or more than worlds.
+    """
+    if groups is not None and not 1 <= groups <= num_envs:
+        raise ValueError(
+            f"groups must be null, or from 1 to the {num_envs} worlds of num_envs, got {groups}."
+        )
+    count = groups or (2 if num_envs >= PAYS_FROM else 1)
+    return [len(part) for part in torch.arange(num_envs).tensor_split(count)]
+
+
+class Worlds:
+    """Envs of the same task that are stepped in turns, see ``zfall.simulation.turns.in_turns``.
+
+    Rows of what it returns are those of the first env, then those of the second, and so on.
+
+    Args:
+        env_cfg: config of the env.
+        num_envs: worlds N in all.
+        groups: envs that they are spread over; ``None``: two where that pays, else one, as for an
+            env without a ``base_env`` that it could tell how many it has.
+
+    Attributes:
+        carriers: what the worlds of each env are in, before the coming step; after ``begin``.
+
+    Raises:
+        ValueError: if there are more groups than worlds, or than an env can be spread over.
+    """
+
+    def __init__(self, env_cfg: DictConfig, num_envs: int, groups: int | None = None):
+        sizes = group_sizes(num_envs, groups)
+        if "base_env" in env_cfg:
+            self.envs: list[TransformedEnv] = [
+                instantiate(env_cfg, base_env={"num_envs": size}) for size in sizes
+            ]
+        elif groups in (None, 1):
+            self.envs = [instantiate(env_cfg)]
+        else:
+            raise ValueError(f"groups must be 1 or null without env.base_env, got {groups}.")
+        self.carriers: list[TensorDictBase] = []
+
+    @property
+    def env(self) -> TransformedEnv:
+        """The first of them, for what is the same in all."""
+        return self.envs[0]
+
+    @property
+    def carrier(self) -> TensorDictBase:
+        """What all worlds are in ``(N,)``, before the coming step."""
+        return self.carriers[0] if len(self.carriers) == 1 else torch.cat(self.carriers)
+
+    def remember(self, module: torch.nn.Module) -> None:
+        """Has the envs carry the memory of a recurrent module; before ``begin``."""
+        for env in self.envs:
+            env.append_transform(get_primers_from_module(module))
+
+    def begin(self, seed: int) -> None:
+        """Seeds the envs, each by what TorchRL makes of the seed before it, and resets them."""
+        for env in self.envs:
+            seed = env.set_seed(seed)
+        self.carriers = [env.reset() for env in self.envs]
+
+    def run(
+        self,
+        policy: Callable[[TensorDictBase], TensorDictBase],
+        steps: int,
+        stored: Sequence[NestedKey],
+    ) -> TensorDictBase:
+        """Steps all worlds by an exploring policy, resetting those that end.
+
+        Args:
+            policy: writes the action.
+            steps: how many T.
+            stored: keys to return, those that are there.
+
+        Returns:
+            A batch ``(N, T)``.
+
+        Raises:
+            RuntimeError: before ``begin``.
+        """
+        if not self.carriers:
+            raise RuntimeError("Worlds.begin must come before Worlds.run.")
+        exploring = set_exploration_type(ExplorationType.RANDOM)
+        with physics_first(), exploring:
+            tasks = [
+                partial(self._run, group, policy, steps, stored) for group in range(len(self.envs))
+            ]
+            parts = in_turns(tasks)
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+    @torch.no_grad()
+    def _run(
+        self,
+        group: int,
+        policy: Callable[[TensorDictBase], TensorDictBase],
+        steps: int,
+        stored: Sequence[NestedKey],
+    ) -> TensorDictBase:
+        env, carrier, rows = self.envs[group], self.carriers[group], []
+        for _ in range(steps):
+            data, carrier = env.step_and_maybe_reset(policy(carrier))
+            rows.append(data.select(*stored, strict=False))
+        self.carriers[group] = carrier
+        return torch.stack(rows, 1)
+
+    def state_dict(self) -> list[dict[str, Any]]:
+        """All that the envs depend on, one entry for each."""
+        return [
+            {
+                "env": env.base_env.state_dict(),
+                "transforms": env.transform.state_dict(),
+                "carrier": carrier.to_dict(),
+            }
+            for env, carrier in zip(self.envs, self.carriers, strict=True)
+        ]
+
+    def load_state_dict(self, states: Sequence[dict[str, Any]]) -> None:
+        """Goes on from what ``state_dict`` gave, after ``begin``.
+
+        Raises:
+            ValueError: if it is of other groups.
+        """
+        before = [len(state["carrier"]["done"]) for state in states]
+        sizes = [env.batch_size.numel() for env in self.envs]
+        if before != sizes:
+            raise ValueError(
+                f"groups must be as they were when the run began, of {before} worlds, got {sizes}."
+            )
+        for group, (env, state) in enumerate(zip(self.envs, states, strict=True)):
+            env.base_env.load_state_dict(state["env"])
+            env.transform.load_state_dict(state["transforms"])
+            carrier = self.carriers[group]
+            self.carriers[group] = carrier.from_dict(
+                state["carrier"], batch_size=carrier.batch_size
+            )

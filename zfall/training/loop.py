@@ -1,0 +1,144 @@
+"""The training loop: collect, learn, write down; ended early by ctrl-c, resumed exactly."""
+
+import gc
+import math
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from types import FrameType
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from zfall import checkpoint
+from zfall.training.learner import Learner
+from zfall.training.metrics import batch_metrics
+from zfall.training.run_folder import RunFolder, check_version
+from zfall.training.warm_start import warm_start
+
+
+def try_one_step(env_cfg: DictConfig) -> None:
+    """Takes a step in two worlds of their own: terms and transforms that fail do so now."""
+    instantiate(env_cfg, base_env={"num_envs": 2}).rollout(1)
+
+
+def resumed_config(
+    stored: str, given: DictConfig, overrides: Sequence[str], folder: Path
+) -> DictConfig:
+    """The config of a run, with those of the ``given`` values that the shell overrides.
+
+    Raises:
+        ValueError: on a value that cannot change in the middle of a run.
+    """
+    free = ("total_frames", "checkpoint_every", "showcase")
+    for override in overrides:
+        key = override.partition("=")[0]
+        if key != "resume" and key.split(".")[0] not in free:
+            raise ValueError(
+                f"{key} must not be given with resume, it is that of {folder}; "
+                f"only {', '.join(free)} may change."
+            )
+    cfg = DictConfig(OmegaConf.create(stored))
+    for key in (override.partition("=")[0] for override in overrides):
+        if key != "resume":
+            OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
+    return cfg
+
+
+def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
+    """Trains a composed config in a folder, from its last checkpoint if there is one.
+
+    Returns:
+        Whether it came to its end; False if ctrl-c ended it early.
+    """
+    learner, run = Learner(cfg), RunFolder(folder)
+    if (folder / "checkpoints" / "last.pt").exists():
+        state = checkpoint.load(folder / "checkpoints" / "last.pt")
+        check_version(state["run"], folder)
+        learner.load_state_dict(state)
+        run.load_state_dict(state["run"])
+    elif cfg.warm_start is not None:
+        warm_start(learner, cfg.warm_start)
+    return train(learner, run, console)
+
+
+def number_of_updates(learner: Learner) -> int:
+    """Updates until ``total_frames``, at least one."""
+    return max(1, math.ceil(learner.cfg.total_frames / learner.frames_per_batch))
+
+
+def train(learner: Learner, run: RunFolder, console: Console) -> bool:
+    """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
+    cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
+    total = number_of_updates(learner)
+    with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
+        task = bar.add_task("train", total=total, completed=learner.updates, note="")
+        while learner.updates < total:
+            times = [time.perf_counter()]
+            batch = learner.collect()
+            times.append(time.perf_counter())
+            losses = learner.learn(batch)
+            times.append(time.perf_counter())
+            run.write(learner, batch_metrics(batch, learner.carrier, control_dt), losses, times)
+            if learner.updates % cfg.checkpoint_every == 0 or learner.updates == total:
+                run.save_last_and_best(learner)
+            seconds = times[-1] - times[0]
+            note = (
+                f"{learner.frames / 1e6:.2f} M frames, {learner.frames_per_batch / seconds:.0f}/s, "
+                f"return {run.last['episode_return']:.1f}, "
+                f"episode {run.last['episode_seconds']:.1f} s"
+            )
+            bar.update(task, completed=learner.updates, note=note)
+            if not console.is_terminal and learner.updates % 10 == 0:
+                left = f"{(total - learner.updates) * seconds:.0f} s left"
+                console.print(f"{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
+            if stop.is_set() and learner.updates < total:
+                run.save(learner, "last")
+                return False
+    return True
+
+
+@contextmanager
+def first_ctrl_c() -> Iterator[Event]:
+    """Set by the first ctrl-c, which lets the update end, to be resumed exactly; not the second."""
+    pressed = Event()
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.signal(number, previous)
+
+    previous = signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+@contextmanager
+def garbage_collector_of_new_things() -> Iterator[None]:
+    """Spares the garbage collector what has been set up, which stays: it would visit all again."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def progress_bar(console: Console) -> Progress:
+    """Updates, speed, return, episode length and time left."""
+    return Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.completed}/{task.total}"),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+    )

@@ -1,0 +1,45 @@
+"""Begins a training with the weights of a policy that was trained before."""
+
+from omegaconf import OmegaConf
+
+from zfall import checkpoint
+from zfall.envs.tables import check_same_interface
+from zfall.policies.load import checkpoint_of
+from zfall.simulation.model import identity_of
+from zfall.training.learner import Learner
+
+
+def warm_start(learner: Learner, run: str) -> None:
+    """Gives the actor, and the critic if it sees the same and is configured alike, a run's weights.
+
+    The deviation of a plain Gaussian that does not depend on the state stays as configured, so
+    that the policy explores anew.
+
+    Args:
+        learner: before its first update.
+        run: a run folder, or the name of a policy that ships.
+
+    Raises:
+        ValueError: if there is no such run, or its policy sees or does something else.
+    """
+    path = checkpoint_of(run, key="warm_start")
+    content = checkpoint.load(path)
+    theirs = OmegaConf.create(content["config"])
+    check_same_interface({run: theirs, "this run": learner.cfg})
+    robot = identity_of(learner.env.base_env.robot)
+    checkpoint.check_fits(content, robot, learner.actor, path)
+    untold = ("activation", "std_range") if learner.cfg.actor.get("components") else ("activation",)
+    for key in untold:  # which no weight tells of
+        one, other = (cfg.actor.get(key) for cfg in (theirs, learner.cfg))
+        if one != other:
+            raise ValueError(
+                f"{run} and this run must have the same actor.{key}, got {one} and {other}."
+            )
+    state_std = any("deviation" in key for key in content["policy"])
+    own = () if state_std else ("log_std",)
+    weights = {k: v for k, v in content["policy"].items() if not k.endswith(own)}
+    for module in (learner.actor, learner.policy):
+        module.load_state_dict(weights, strict=False)
+    seen = [cfg.env.transforms.get("observation_critic") for cfg in (theirs, learner.cfg)]
+    if "critic" in content and seen[0] == seen[1] and theirs.critic == learner.cfg.critic:
+        learner.critic.load_state_dict(content["critic"])
