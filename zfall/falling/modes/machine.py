@@ -1,9 +1,9 @@
-"""When to recover, when to kneel, and when it is done."""
+"""The mode machine: recover, kneel, stable."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -13,7 +13,6 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.falls import body_contact
-from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import tilt
@@ -23,10 +22,12 @@ RECOVER, KNEEL, STABLE = range(3)
 
 
 class ModeState(NamedTuple):
-    """Where a machine stands, in tensors of one shape: integers, of no unit.
+    """The state of a machine, integer tensors of one shape.
 
-    ``ahead``: steps in a row for which what leads to the next mode has held; ``back``: likewise
-    for what leads back to RECOVER.
+    Attributes:
+        mode: ``RECOVER``, ``KNEEL`` or ``STABLE``.
+        ahead: steps in a row for which the condition of the next mode has been true.
+        back: likewise for the condition that leads back to RECOVER.
     """
 
     mode: Tensor
@@ -36,7 +37,7 @@ class ModeState(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ModeRule:
-    """RECOVER -> KNEEL -> STABLE, each after a condition has held for some steps in a row.
+    """RECOVER -> KNEEL -> STABLE, each after a condition was true for some steps in a row.
 
     Args:
         hold: steps in danger from RECOVER to KNEEL.
@@ -65,7 +66,7 @@ class ModeRule:
     def advance(
         self, state: ModeState, danger: Tensor, resting: Tensor, standing: Tensor
     ) -> ModeState:
-        """The state after a step in which these conditions, bool, held or did not."""
+        """The state after a step with these conditions, bool tensors of the state's shape."""
         mode, ahead, back = state
         condition = torch.where(mode == RECOVER, danger, resting & (mode == KNEEL))
         ahead = torch.where(condition, ahead + 1, 0)
@@ -83,7 +84,7 @@ def in_danger(lean: Tensor, rate: Tensor, *, angle: float, angular_velocity: flo
 
 
 def modes_over(rule: ModeRule, danger: Tensor, resting: Tensor, standing: Tensor) -> Tensor:
-    """Modes along a history ``(T, ...)``, as a robot would go through them one step at a time."""
+    """Modes ``(T, ...)`` along a history of conditions ``(T, ...)``, from RECOVER on."""
     state, modes = rule.start(danger[0]), []
     for step in zip(danger, resting, standing, strict=True):
         state = rule.advance(state, *step)
@@ -94,25 +95,28 @@ def modes_over(rule: ModeRule, danger: Tensor, resting: Tensor, standing: Tensor
 class ModeMachine(Transform):
     """Goes from RECOVER to KNEEL when a fall is near, and to STABLE when the robot rests.
 
-    Danger is a tilt above ``angle`` or an angular velocity above ``angular_velocity`` or, with a
-    ``FallPredictor`` before it and a ``probability``, a predicted fall. Rest is ``resting_kneel``;
-    a policy that explores never has its joints at rest, so that training needs wide bounds, and
-    ``StableHold`` then stops them. Standing, the way back, is no danger of either kind and no
-    contact but the feet's.
+    Danger is a tilt above ``angle`` or an angular velocity above ``angular_velocity``. With
+    ``probability`` it is a predicted fall instead; this needs a ``FallPredictor`` earlier in the
+    table. Rest is ``resting_kneel``. The joints of an exploring policy never rest: training needs
+    wide bounds, and ``StableHold`` then stops the joints. The way back to RECOVER is standing: no
+    danger of either kind, and no contact but the feet's.
 
-    Keys: reads what these do, writes ``mode`` ``(N, 3)``, one of them 1: recover, kneel, stable.
+    Keys: reads ``base_orientation``, ``base_angular_velocity`` [rad/s], ``contact_force_peak``
+    [N], what ``resting_kneel`` reads, and ``fall_probability`` ``(N, 1)`` if there is a
+    ``probability``; writes ``mode`` ``(N, 3)``, one-hot: recover, kneel, stable.
 
     Args:
         env: the base env.
         angle: [rad].
         angular_velocity: of the base, its norm [rad/s].
-        hold: time for which danger must last [s]; at least one step. This and the other times are
-            rounded to control steps, halves to the even number: 0.5 s at 25 Hz are 12.
+        hold: time for which danger must last [s]. This and the other times are rounded to
+            control steps, at least one, halves to the even number: 0.5 s at 25 Hz are 12.
         rest: time of rest that makes a kneel stable [s].
         rest_speed: of the base at rest, at most [m/s and rad/s].
         rest_joint_speed: of every joint at rest, at most [rad/s].
-        back: time of standing after which it recovers again [s], or no way back.
-        probability: of ``fall_probability`` above which there is danger, instead of the bounds.
+        back: time of standing after which it recovers again [s]; ``None``: there is no way back.
+        probability: bound of ``fall_probability`` that replaces the two above; ``None``: they
+            count.
         initial: mode at the beginning of an episode.
 
     Raises:
@@ -121,6 +125,8 @@ class ModeMachine(Transform):
     Source: report of the Zeroth-01 project, its mode machine (0.5 rad, 10 frames at 50 Hz), and
     its design notes (2 rad/s).
     """
+
+    mirror_signs: ClassVar[Mapping[str, tuple[float, ...]]] = {"mode": (1.0, 1.0, 1.0)}
 
     ahead: Tensor
     behind: Tensor
@@ -185,7 +191,7 @@ class ModeMachine(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         if self.probability is not None and "fall_probability" not in observation_spec.keys():
             raise ValueError(
-                "probability must be null without a FallPredictor before the mode machine, "
+                "probability must be null without a FallPredictor earlier in the table, "
                 f"got {self.probability}."
             )
         observation_spec["mode"] = Unbounded((*observation_spec.shape, len(MODES)))
@@ -195,93 +201,3 @@ class ModeMachine(Transform):
 def one_hot(mode: Tensor) -> Tensor:
     """Modes ``(N,)`` as rows ``(N, 3)``, float32."""
     return torch.nn.functional.one_hot(mode, len(MODES)).float()
-
-
-class StableHold(Transform):
-    """Holds the last target of the servos in mode STABLE, whatever the policy asks for.
-
-    Keys: reads ``mode``, changes ``target`` ``(N, J)`` [rad], and ``control`` ``(N, S, J)`` [rad]
-    where there is one: targets that move stop; comes after what makes them.
-
-    Args:
-        env: the base env.
-    """
-
-    held: Tensor
-
-    def __init__(self, env: HumanoidEnv):
-        super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
-        self.register_buffer("held", env.stand_position.repeat(env.num_envs, 1))
-
-    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        mode = tensordict.get("mode", None)
-        if mode is None:
-            raise ValueError("StableHold needs the key mode: put a ModeMachine into the table.")
-        stable = mode[:, STABLE, None] > 0
-        self.held = torch.where(stable, self.held, tensordict["target"])
-        control = tensordict.get("control", None)
-        if control is not None:
-            control = torch.where(stable[:, None], self.held[:, None], control)
-            tensordict["control"] = control
-        return tensordict.set("target", self.held.clone())
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        rows = reset_rows(tensordict)[:, None]
-        self.held = torch.where(rows, tensordict_reset["joint_position"], self.held)
-        return tensordict_reset
-
-
-class FallPredictor(Transform):
-    """Says after every step how likely a fall can no longer be avoided.
-
-    Keys: reads ``keys``, as measured where sensing comes before it in the table, and writes
-    ``fall_probability`` ``(N, 1)``; its memory begins anew with every episode.
-
-    Args:
-        env: the base env.
-        network: a module with ``hidden_size`` that takes measurements ``(N, D)`` and a memory
-            ``(N, H)`` and returns a probability ``(N, 1)`` and the next memory.
-        keys: what it was trained with, in order.
-
-    Raises:
-        ValueError: if the network was trained with other quantities or at another rate.
-    """
-
-    memory: Tensor
-    measured = True  # sensing must come before it
-
-    def __init__(self, env: HumanoidEnv, *, network: Any, keys: Sequence[str]):
-        super().__init__(in_keys=list(keys), out_keys=["fall_probability"])
-        known = getattr(network, "trained_with", None)
-        for name, value in (("keys", list(keys)), ("control_dt", env.control_dt)):
-            if known is not None and value != known[name]:
-                raise ValueError(
-                    f"{name} must be what the network was trained with, {known[name]}, got {value}."
-                )
-        self.network = network
-        self.register_buffer("memory", torch.zeros(env.num_envs, network.hidden_size))
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        values = [read_measured(next_tensordict, key).flatten(1) for key in self.in_keys]
-        measured, size = torch.cat(values, -1), len(self.network.normalizer.mean)
-        if measured.shape[1] != size:
-            raise ValueError(
-                f"keys must be what the network was trained with, {size} numbers, got "
-                f"{measured.shape[1]}."
-            )
-        with torch.no_grad():
-            probability, self.memory = self.network(measured, self.memory)
-        return next_tensordict.set("fall_probability", probability)
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
-        self.memory = torch.where(rows[:, None], 0.0, self.memory)
-        return tensordict_reset.set("fall_probability", torch.zeros(len(rows), 1))
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        observation_spec["fall_probability"] = Unbounded((*observation_spec.shape, 1))
-        return observation_spec
