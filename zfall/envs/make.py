@@ -105,20 +105,12 @@ class HumanoidTask(TransformedEnv):
         if tensordict is None or reset is None or reset.all():
             return super()._reset_proc_data(tensordict, tensordict_reset)
         self._reset_check_done(tensordict, tensordict_reset)
-        rows = reset.reshape(-1).nonzero()[:, 0]
-        base = self.base_env
-        merged = base.merged() if isinstance(base, HumanoidEnv) else {}
-        _copy_rows(tensordict_reset, tensordict, rows, merged)
+        _copy_rows(tensordict_reset, tensordict, reset.reshape(-1).nonzero()[:, 0])
         return tensordict.exclude("_reset", inplace=True)
 
 
-def _copy_rows(
-    source: TensorDictBase, into: TensorDictBase, rows: Tensor, merged: Mapping[int, Tensor]
-) -> None:
-    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0.
-
-    What ``merged`` holds of an entry, see ``HumanoidEnv.merged``, takes its place.
-    """
+def _copy_rows(source: TensorDictBase, into: TensorDictBase, rows: Tensor) -> None:
+    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0."""
     values, entries = dict(source.items()), dict(into.items())
     value: Any
     there: Any
@@ -126,11 +118,9 @@ def _copy_rows(
         value, there = values.get(key), entries.get(key)
         if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
             there = value.empty() if there is None else there
-            _copy_rows(there.empty() if value is None else value, there, rows, merged)
+            _copy_rows(there.empty() if value is None else value, there, rows)
         elif value is None:
             there = there.index_fill(0, rows, 0)
-        elif merged.get(id(there)) is value:
-            there = value
         else:
             there = torch.zeros_like(value) if there is None else there
             there = there.index_copy(0, rows, value.index_select(0, rows))
