@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from zfall.robots import ZEROTH01
-from zfall.simulation.cpu import BOUND, Simulation, sound
+from zfall.simulation.compiled import BOUND, sound
+from zfall.simulation.cpu import Simulation
 from zfall.simulation.model import compile_model
 
 S = 10

@@ -1,150 +1,46 @@
-"""Named quantities from made-up sensor values, by hand."""
+"""The table of quantities, and what follows from it."""
 
 from dataclasses import replace
+from pathlib import Path
 
-import pytest
 import torch
-from torch.testing import assert_close
 
-from zfall.simulation.model import sensor_slices
-from zfall.simulation.quantities import Quantities
+from zfall.robots import ZEROTH01
+from zfall.simulation import quantities
+from zfall.simulation.quantities import QUANTITIES, markdown_table, observation_spec
 
-
-@pytest.fixture()
-def read(make_base):
-    """Quantities of one world from sensor values set by name, zero elsewhere."""
-    env = make_base(num_envs=1)
-    slices = sensor_slices(env.simulation.model)
-
-    def build(steps: dict[int, dict[str, list[float]]]):
-        values = torch.zeros(1, env.substeps, env.simulation.model.nsensordata, dtype=torch.float64)
-        for step, sensors in steps.items():
-            for name, value in sensors.items():
-                values[0, step, slices[name]] = torch.tensor(value, dtype=torch.float64)
-        read = env._quantities(env.simulation.qpos, env.simulation.qvel, values)
-        return env, {key: value[0] for key, value in read.items()}
-
-    return build
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "quantities.md"
 
 
-def test_peak_force_adds_the_parts_of_a_region_as_vectors_and_keeps_the_largest_step(read):
-    """3 N and 4 N at right angles are 5 N; the same forces in two steps are no 5 N."""
-    trunk, hip = "contact_force_peak/torso/trunk", "contact_force_peak/torso/left_hip_servo"
-    env, td = read({2: {trunk: [3.0, 0, 0], hip: [0, 4.0, 0]}, 5: {trunk: [4.5, 0, 0]}})
-    expected = torch.zeros(14)
-    expected[env.regions.index("torso")] = 5.0
-    assert_close(td["contact_force_peak"], expected)
-    env, td = read({2: {trunk: [3.0, 0, 0]}, 5: {hip: [0, 4.0, 0]}})
-    assert td["contact_force_peak"].max().item() == 4.0
+def test_the_page_shows_the_table():
+    assert markdown_table() in PAGE.read_text()
 
 
-def test_contact_impulse_is_the_force_over_time(read):
-    """5 N for one physics step of ten, 4.5 N for another."""
-    trunk, hip = "contact_force_peak/torso/trunk", "contact_force_peak/torso/left_hip_servo"
-    env, td = read({2: {trunk: [3.0, 0, 0], hip: [0, 4.0, 0]}, 5: {trunk: [4.5, 0, 0]}})
-    expected = torch.zeros(14)
-    expected[env.regions.index("torso")] = 9.5 * env.control_dt / env.substeps
-    assert_close(td["contact_impulse"], expected)
-
-
-def test_acceleration_is_the_mean_and_its_peak_the_largest_norm(read):
-    _, td = read(
-        {0: {"base_acceleration": [10.0, 0, 0]}, 9: {"base_acceleration": [0, -30.0, 40.0]}}
-    )
-    assert_close(td["base_acceleration"], torch.tensor([1.0, -3.0, 4.0]))  # over ten steps
-    assert td["base_acceleration_peak"].item() == 50.0
-
-
-def test_force_on_a_foot_is_the_reaction_of_the_last_step(read):
-    contact = [1.0, 0.0, 0.0, -16.0, 0.0, 0.0, 0.0]
-    _, td = read({9: {"feet_contact/right": contact}, 3: {"feet_contact/left": contact}})
-    assert_close(td["feet_force"], torch.tensor([[0.0, 0, 0], [0, 0, 16.0]]))
-    assert td["feet_contact"].tolist() == [False, True]
-
-
-def test_a_foot_that_touches_without_force_has_no_center_of_pressure(read):
-    """The center that MuJoCo weighs by force is the world's origin then, here 2.2 m away."""
-    sole = {"feet_position/left": [2.0, 1.0, 0.0], "feet_orientation/left": [1.0, 0, 0, 0]}
-    grazing = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    _, td = read({9: sole | {"feet_contact/left": grazing}})
-    assert td["feet_contact"].tolist() == [True, False]
-    assert_close(td["feet_cop"], torch.zeros(2, 2))
-    pressed = [1.0, 0.0, 0.0, -16.0, 2.01, 0.98, 0.0]
-    _, td = read({9: sole | {"feet_contact/left": pressed}})
-    assert_close(td["feet_cop"], torch.tensor([[0.01, -0.02], [0.0, 0.0]]), atol=1e-6, rtol=0)
-
-
-@pytest.mark.parametrize(("sensor", "key"), [
-    ("joint_torque/left_knee_pitch", "joint_torque_peak"),
-    ("base_acceleration", "base_acceleration_peak"),
-    ("contact_force_peak/torso/trunk", "contact_force_peak"),
-])  # fmt: skip
-@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
-def test_peaks_hide_nothing_that_is_not_finite(read, sensor, key, value):
-    """No comparison holds for what is not a number; numbers follow it here, in later steps."""
-    size = 1 if sensor.startswith("joint") else 3
-    steps = {step: {sensor: [1.0] * size} for step in range(10)}
-    steps[4] = {sensor: [value] * size}
-    _, td = read(steps)
-    assert not td[key].isfinite().all()
-    others = {"joint_torque_peak", "base_acceleration_peak", "contact_force_peak"} - {key}
-    assert all(td[other].isfinite().all() for other in others)
-
-
-def test_gravity_is_that_of_each_world_seen_from_its_base(make_base):
-    """Turned to the left by a quarter, a base has its x axis along the world's y."""
+def test_the_env_writes_every_quantity_in_the_shape_and_type_of_the_table(make_base):
     env = make_base(num_envs=3)
-    qpos = env.simulation.qpos.clone()
-    qpos[:, 3:7] = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])
-    gravity = torch.tensor([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, -1.0, 0.0]])
-    values = torch.zeros(3, env.substeps, env.simulation.model.nsensordata, dtype=torch.float64)
-    read = env._quantities(qpos, env.simulation.qvel, values, gravity)
-    expected = torch.tensor([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8], [-1.0, 0.0, 0.0]])
-    assert_close(read["projected_gravity"], expected)
+    td = env.reset()
+    for quantity in (*QUANTITIES, quantities.FLAG):
+        assert td[quantity.name].shape == (3, *quantity.size(env.robot)), quantity.name
+        assert td[quantity.name].dtype == quantity.dtype, quantity.name
+    flags = {"done", "terminated", "truncated"}
+    assert set(td.keys()) - flags == {*quantities.NAMES, "diverged"}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "joint_torque/left_knee_pitch",
-        "feet_contact/left",
-        "com_velocity",
-        "contact_force_peak/torso/trunk",
-    ],
-)
-def test_a_sensor_of_another_size_is_refused(make_base, name):
-    """It would be read beyond its end, and be the next sensor's values."""
+def test_shapes_follow_the_robot():
+    one_armed = ZEROTH01.joints[:-4]
+    robot = replace(ZEROTH01, joints=one_armed, regions=ZEROTH01.regions[:5])
+    spec = observation_spec(robot, 7, with_ball=True)
+    assert spec["joint_torque"].shape == (7, 16)
+    assert spec["contact_force_peak"].shape == (7, 5)
+    assert spec["feet_corner_force"].shape == (7, 2, 4)
+    assert spec["ball", "velocity"].shape == (7, 3)
+    assert spec["feet_contact"].dtype == torch.bool
+
+
+def test_a_state_is_positions_and_velocities_of_joints_and_base(make_base):
+    """Together they fill MuJoCo's state: each component once."""
     env = make_base(num_envs=1)
-    sensors = sensor_slices(env.simulation.model)
-    sensors[name] = slice(sensors[name].start, sensors[name].stop + 1)
-    index = torch.arange(len(env.robot.joints))
-    with pytest.raises(ValueError, match=f"sensor {name} must have . values, got"):
-        Quantities(env.robot, sensors, index, index, 1.0, 0.04)
-
-
-def test_a_sole_has_as_many_corners_as_its_robot_says(make_base):
-    env = make_base(num_envs=2)
-    robot = replace(env.robot, corners=env.robot.corners[:3])
-    sensors = sensor_slices(env.simulation.model)
-    index = torch.arange(len(robot.joints))
-    read = Quantities(robot, sensors, index, index, 1.0, 0.04)
-    values = torch.zeros(2, 10, env.simulation.model.nsensordata, dtype=torch.float64)
-    for corner, force in zip(robot.corners, (1.0, 2.0, 3.0), strict=True):
-        values[:, -1, sensors[f"feet_corner_force/right/{corner}"].start + 2] = -force
-    forces = read(env.simulation.qpos, env.simulation.qvel, values)["feet_corner_force"]
-    assert forces.tolist() == [[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]] * 2
-
-
-def test_worlds_to_read_come_with_what_the_others_are(make_base):
-    env = make_base(num_envs=2)
-    states = env.simulation.qpos, env.simulation.qvel
-    sensors = torch.zeros(2, env.substeps, env.simulation.model.nsensordata, dtype=torch.float64)
-    with pytest.raises(ValueError, match="index and before must be given together"):
-        env._quantities(*states, sensors, index=torch.tensor([1]))
-    everything = env._quantities(*states, sensors)
-    sensors[:] = torch.arange(1.0, sensors.shape[-1] + 1, dtype=torch.float64)
-    part = env._quantities(*states, sensors, index=torch.tensor([1]), before=everything)
-    whole = env._quantities(*states, sensors)
-    for key, value in part.items():
-        assert_close(value[0], everything[key][0], rtol=0, atol=0)
-        assert_close(value[1], whole[key][1], rtol=0, atol=0)
+    sizes = {q.name: q.size(env.robot)[0] for q in QUANTITIES if q.place is not None}
+    assert tuple(sizes) == quantities.STATE_KEYS
+    for array, size in (("qpos", env.simulation.model.nq), ("qvel", env.simulation.model.nv)):
+        assert size == sum(sizes[k] for k, p in quantities.PLACES.items() if p.array == array)

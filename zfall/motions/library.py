@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from zfall.envs.humanoid import STATE_KEYS
 from zfall.motions.gaits import Gait, Times, center_of_mass, feet
 from zfall.robots import ZEROTH01, Robot
+from zfall.simulation.quantities import STATE_KEYS
 
 _WALK = {
     "step_time": 0.3,

@@ -11,7 +11,7 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zfall.simulation.compiled import compiled
+from zfall.simulation.compiled import compiled, sound
 from zfall.simulation.turns import others_turn
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -20,19 +20,6 @@ _INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_AP
 _CONSTANTS = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
 CHUNKS = 32  # of worlds, for each thread: the last one at work keeps the others waiting
-
-# No state or sensor of a sound world comes near it, in SI units; not a number is not below it.
-BOUND = 1e6
-
-
-@compiled
-def sound(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Worlds ``(N,)`` all of whose values ``(N, V)`` are finite and within ``BOUND``."""
-    good = np.ones(len(values), np.bool_)
-    for i in range(len(values)):
-        for value in values[i]:
-            good[i] &= abs(value) < BOUND
-    return good
 
 
 @compiled

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zfall.robots import ZEROTH01, Robot
-from zfall.simulation.cpu import site_poses, sound
+from zfall.simulation.compiled import sound
+from zfall.simulation.cpu import site_poses
 
 Array = NDArray[np.float64]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -1,6 +1,7 @@
 """From a robot's MJCF to the compiled model that an env steps."""
 
 import hashlib
+import math
 from functools import cache
 
 import mujoco
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from zfall.robots import Ball, PushPoint, Robot
+from zfall.simulation.quantities import needed_sensors
 
 _POINT = "push_point/"  # prefix of the massless bodies that stand for push points
 _PARKED = (1000.0, 0.0)  # where a ball waits on the floor, out of reach [m]
@@ -56,6 +58,24 @@ def compile_model(
     if not servos:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     return model
+
+
+def physics_steps(control_dt: float, physics_dt: float) -> int:
+    """Physics steps S in a control step.
+
+    Raises:
+        ValueError: if they are not a whole number, or a time is not positive and finite.
+    """
+    for name, value in (("physics_dt", physics_dt), ("control_dt", control_dt)):
+        if not 0 < value < math.inf:
+            raise ValueError(f"{name} must be positive and finite, got {value}.")
+    substeps = round(control_dt / physics_dt)
+    if substeps < 1 or abs(substeps * physics_dt - control_dt) > 1e-9:
+        raise ValueError(
+            f"control_dt must be a multiple of physics_dt, got control_dt {control_dt} with "
+            f"physics_dt {physics_dt}; {max(substeps, 1) * physics_dt:g} would be."
+        )
+    return substeps
 
 
 def push_targets(model: mujoco.MjModel) -> dict[str, int]:
@@ -136,18 +156,7 @@ def _place_of(
 def _check(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Raises if the MJCF lacks something the env needs, naming all that it lacks."""
     sensors = {sensor.name for sensor in spec.sensors}
-    needed = {
-        *("base_acceleration", "com_position", "com_velocity", "angular_momentum"),
-        *(f"joint_torque/{joint}" for joint in robot.joints),
-        *(
-            f"feet_{k}/{foot}"
-            for k in ("position", "orientation", "velocity")
-            for foot in robot.feet
-        ),
-        *(f"feet_contact/{foot}" for foot in robot.feet),
-        *(f"feet_corner_force/{foot}/{c}" for foot in robot.feet for c in robot.corners),
-    }
-    lacking = sorted(needed - sensors)
+    lacking = sorted(needed_sensors(robot).keys() - sensors)
     lacking += [
         f"contact_force_peak/{region}"
         for region in robot.regions

@@ -1,171 +1,163 @@
-"""Named physical quantities from the state and the sensor values of a step."""
+"""The quantities that the base env writes: one table, and the specs that follow from it.
 
-from collections.abc import Callable, Iterable
-from typing import Any
+A new quantity is one row of ``QUANTITIES`` and its formula in ``compiled.read_out``.
+"""
 
-import numpy as np
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
+
 import torch
-from numpy.typing import NDArray
+from tensordict import NestedKey
 from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from zfall.robots import Robot
-from zfall.rotations import rotate_inverse
-from zfall.simulation.model import name_in_region
-from zfall.simulation.read_quantities import Columns, Observed, read_out
-from zfall.simulation.specs import observation_spec
 
-# Keys that are known after every physics step.
-SUBSTEP_KEYS = (
-    "joint_position",
-    "joint_velocity",
-    "joint_torque",
-    "base_position",
-    "base_orientation",
-    "projected_gravity",
-    "base_linear_velocity",
-    "base_angular_velocity",
-    "base_acceleration",
-)
-# Largest values over the physics steps: with the last step's they bound all that is observed, but
-# for states amid the step, which stay there once they are beyond any physics.
-PEAK_KEYS = ("joint_torque_peak", "base_acceleration_peak", "contact_force_peak")
+# When the value is, see ``Quantity.age``.
+END = "end of the step"  # of joints and base, from the state
+OLD = "one physics step old"  # MuJoCo's sensors describe the state before the last integration
+LAST = "last physics step"
+MEAN = "mean over the step"
+PEAK = "peak over the step"
 
 
-class Quantities:
-    """Reads the keys of ``HumanoidEnv`` out of MuJoCo's arrays.
+class Place(NamedTuple):
+    """Where a component of the state lies: in which of MuJoCo's arrays, and in which columns.
 
-    Args:
-        robot: gives the names of joints, feet, corners and regions.
-        sensors: where each MJCF sensor's values lie in ``sensordata``.
-        qpos_index, qvel_index: where each joint's angle and speed lie in the state ``(J,)``.
-        mass: total mass [kg].
-        control_dt: length of a control step [s].
-
-    Raises:
-        ValueError: if a sensor has another number of values than its quantity.
+    ``None`` stands for the columns of the joints.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        sensors: dict[str, slice],
-        qpos_index: Tensor,
-        qvel_index: Tensor,
-        mass: float,
-        control_dt: float,
-    ):
-        self._control_dt = control_dt
-        self.qpos_index, self.qvel_index = qpos_index, qvel_index
-        self._mass = np.array([[mass]])
-        self._gravity = np.array([[0.0, 0.0, -1.0]])
+    array: Literal["qpos", "qvel"]
+    columns: slice | None = None
 
-        def first(size: int, *names: str) -> NDArray[np.int64]:
-            for name in names:  # nothing looks at sizes once it is compiled
-                found = sensors[name].stop - sensors[name].start
-                if found != size:
-                    raise ValueError(f"sensor {name} must have {size} values, got {found}.")
-            return np.array([sensors[name].start for name in names])
 
-        def of_feet(name: str, size: int) -> NDArray[np.int64]:
-            return first(size, *(f"{name}/{foot}" for foot in robot.feet))
+class Quantity(NamedTuple):
+    """A measured quantity.
 
-        corners = [[f"feet_corner_force/{f}/{c}" for c in robot.corners] for f in robot.feet]
-        parts = [[name for name in sensors if name_in_region(name, r)] for r in robot.regions]
-        self.columns = Columns(
-            qpos=qpos_index.numpy(),
-            qvel=qvel_index.numpy(),
-            torque=first(1, *(f"joint_torque/{joint}" for joint in robot.joints)),
-            acceleration=int(first(3, "base_acceleration")[0]),
-            com_position=int(first(3, "com_position")[0]),
-            com_velocity=int(first(3, "com_velocity")[0]),
-            angular_momentum=int(first(3, "angular_momentum")[0]),
-            feet_position=of_feet("feet_position", 3),
-            feet_orientation=of_feet("feet_orientation", 4),
-            feet_velocity=of_feet("feet_velocity", 3),
-            feet_contact=of_feet("feet_contact", 7),
-            corners=np.stack([first(3, *names) for names in corners]),
-            parts=np.concatenate([first(3, *names) for names in parts]),
-            regions=np.cumsum([0, *(len(names) for names in parts)]),
+    Attributes:
+        name: its key.
+        shape: of one world; ``J`` joints, ``R`` regions, ``C`` corners of a sole.
+        unit: with the axes of a vector.
+        content: what it is.
+        age: what of the control step it describes.
+        place: where it lies in the state, if it is a component of the state.
+        substeps: whether it is also known after each physics step.
+        dtype: float32 or bool.
+    """
+
+    name: NestedKey
+    shape: tuple[int | str, ...]
+    unit: str
+    content: str
+    age: str
+    place: Place | None = None
+    substeps: bool = False
+    dtype: torch.dtype = torch.float32
+
+    def size(self, robot: Robot) -> tuple[int, ...]:
+        """The shape for a robot."""
+        sizes = {"J": len(robot.joints), "R": len(robot.regions), "C": len(robot.corners)}
+        return tuple(sizes[n] if isinstance(n, str) else n for n in self.shape)
+
+
+_QPOS, _QVEL = Place("qpos"), Place("qvel")
+_POSITION, _ORIENTATION = Place("qpos", slice(0, 3)), Place("qpos", slice(3, 7))
+_LINEAR, _ANGULAR = Place("qvel", slice(0, 3)), Place("qvel", slice(3, 6))
+_QUATERNION, _MOMENTUM = "1, w x y z", "kg m2/s, world axes"
+_GYRO, _ACCELEROMETER = "the gyro", "the accelerometer"
+_NORM = "largest norm of the accelerometer, 9.81 at rest"
+
+QUANTITIES = (
+    Quantity("joint_position", ("J",), "rad", "joint angles", END, _QPOS, True),
+    Quantity("joint_velocity", ("J",), "rad/s", "joint speeds", END, _QVEL, True),
+    Quantity("joint_torque", ("J",), "N m", "torque of the servos", MEAN, None, True),
+    Quantity("joint_torque_peak", (1,), "N m", "largest of any joint", PEAK),
+    Quantity("base_position", (3,), "m, world axes", "origin of the base", END, _POSITION, True),
+    Quantity("base_orientation", (4,), _QUATERNION, "base to world", END, _ORIENTATION, True),
+    Quantity("projected_gravity", (3,), "1, base axes", "direction of gravity", END, None, True),
+    Quantity("base_linear_velocity", (3,), "m/s, world axes", "of the base", END, _LINEAR, True),
+    Quantity("base_angular_velocity", (3,), "rad/s, base axes", _GYRO, END, _ANGULAR, True),
+    Quantity("base_acceleration", (3,), "m/s2, base axes", _ACCELEROMETER, MEAN, None, True),
+    Quantity("base_acceleration_peak", (1,), "m/s2", _NORM, PEAK),
+    Quantity("com_position", (3,), "m, world axes", "center of mass", OLD),
+    Quantity("com_velocity", (3,), "m/s, world axes", "of the center of mass", OLD),
+    Quantity("linear_momentum", (3,), "kg m/s, world axes", "mass x `com_velocity`", OLD),
+    Quantity("angular_momentum", (3,), _MOMENTUM, "about the center of mass", OLD),
+    Quantity("feet_position", (2, 3), "m, world axes", "center of each sole", OLD),
+    Quantity("feet_orientation", (2, 4), _QUATERNION, "sole to world", OLD),
+    Quantity("feet_velocity", (2, 3), "m/s, world axes", "of the center of each sole", OLD),
+    Quantity("feet_contact", (2,), "0 or 1", "bool: a foot touches the floor", LAST,
+             dtype=torch.bool),
+    Quantity("feet_force", (2, 3), "N, world axes", "force of the floor on each foot", LAST),
+    Quantity("feet_cop", (2, 2), "m, sole axes", "center of pressure, 0 without force", LAST),
+    Quantity("feet_corner_force", (2, "C"), "N", "vertical force at each corner", LAST),
+    Quantity("contact_force_peak", ("R",), "N", "norm of the floor's force on a region", PEAK),
+    Quantity("contact_impulse", ("R",), "N s", "that norm, integrated", "sum over the step"),
+)  # fmt: skip
+FLAG = Quantity("diverged", (1,), "0 or 1", "bool: the physics failed, which ends the episode",
+                "whole step", dtype=torch.bool)  # fmt: skip
+BALL = (
+    Quantity(("ball", "position"), (3,), "m, world axes", "center of the ball, if any", END),
+    Quantity(("ball", "velocity"), (3,), "m/s, world axes", "of its center", END),
+)
+
+NAMES = tuple(str(quantity.name) for quantity in QUANTITIES)
+UNITS = {str(quantity.name): quantity.unit for quantity in QUANTITIES}
+PLACES = {str(q.name): q.place for q in QUANTITIES if q.place is not None}
+STATE_KEYS = tuple(PLACES)  # what a state of the robot is made of
+SUBSTEP_KEYS = tuple(str(q.name) for q in QUANTITIES if q.substeps)
+# Largest values over the physics steps: with the last step's they bound all that is observed, but
+# for states amid the step, which stay there once they are beyond any physics.
+PEAK_KEYS = tuple(str(q.name) for q in QUANTITIES if q.age == PEAK)
+
+
+def needed_sensors(robot: Robot) -> dict[str, int]:
+    """Names of the MJCF's sensors that the quantities are read from, with their sizes.
+
+    Those of the regions come in addition, under ``contact_force_peak/REGION[/PART]``, 3 each.
+    """
+    names = ("base_acceleration", "com_position", "com_velocity", "angular_momentum")
+    sizes = dict.fromkeys(names, 3) | {f"joint_torque/{joint}": 1 for joint in robot.joints}
+    of_foot = {"feet_position": 3, "feet_orientation": 4, "feet_velocity": 3, "feet_contact": 7}
+    for foot in robot.feet:
+        sizes |= {f"{name}/{foot}": size for name, size in of_foot.items()}
+        sizes |= {f"feet_corner_force/{foot}/{corner}": 3 for corner in robot.corners}
+    return sizes
+
+
+def observation_spec(robot: Robot, num_envs: int, *, with_ball: bool) -> Composite:
+    """Of all quantities ``(N, ...)``."""
+    spec = Composite(shape=(num_envs,))
+    for quantity in (*QUANTITIES, FLAG, *(BALL if with_ball else ())):
+        shape = (num_envs, *quantity.size(robot))
+        flag = quantity.dtype == torch.bool
+        spec[quantity.name] = (
+            Binary(shape[-1], shape=shape, dtype=torch.bool) if flag else Unbounded(shape)
         )
-        spec = observation_spec(robot, 1, with_ball=False)
-        self._shapes = {key: tuple(spec[key].shape[1:]) for key in Observed._fields}
-        self._shapes["feet_corner_force"] = self.columns.corners.shape
+    return spec
 
-    def __call__(
-        self,
-        qpos: Tensor,
-        qvel: Tensor,
-        sensors: Tensor,
-        gravity: Tensor | None = None,
-        mass: Tensor | None = None,
-        *,
-        index: Tensor | None = None,
-        before: dict[Any, Tensor] | None = None,
-    ) -> dict[Any, Tensor]:
-        """Quantities ``(N, ...)`` float32 of N worlds.
 
-        Args:
-            qpos, qvel: states at the end of a control step, float64.
-            sensors: sensor values of its S physics steps ``(N, S, nsensordata)``.
-            gravity: direction of gravity ``(N, 3)`` [world] if the floor is not level.
-            mass: total mass ``(N, 1)`` [kg] if it differs from world to world.
-            index: worlds ``(K,)`` to read; all if ``None``. Then
-            before: what those of the other worlds are.
+def action_spec(joint_range: Tensor, num_envs: int, substeps: int) -> Composite:
+    """Of servo targets for each physics step, bounded by the joint ranges ``(J, 2)`` [rad]."""
+    low, high = joint_range.unbind(-1)
+    steps = torch.Size((num_envs, substeps, len(joint_range)))
+    control = Bounded(low.expand(steps).clone(), high.expand(steps).clone(), steps)
+    return Composite(control=control, shape=(num_envs,))
 
-        Raises:
-            ValueError: on one of ``index`` and ``before`` without the other.
-        """
-        if (index is None) != (before is None):
-            raise ValueError("index and before must be given together, got one of them.")
-        if index is None or before is None:
-            num, rows = len(qpos), np.arange(len(qpos))
-            arrays = {
-                key: np.empty((num, *shape), bool if key == "feet_contact" else np.float32)
-                for key, shape in self._shapes.items()
-            }
-        else:
-            rows = index.numpy()
-            arrays = {key: before[key].numpy().copy() for key in self._shapes}
-        read_out(
-            rows,
-            qpos.numpy(),
-            qvel.numpy(),
-            sensors.numpy(),
-            self._gravity if gravity is None else gravity.double().numpy(),
-            self._mass if mass is None else mass.double().numpy(),
-            self._control_dt,
-            self.columns,
-            Observed(**arrays),
-        )
-        return {key: torch.from_numpy(array) for key, array in arrays.items()}
 
-    def substeps(
-        self,
-        keys: Iterable[str],
-        qpos: Tensor,
-        qvel: Tensor,
-        sensors: Tensor,
-        gravity: Tensor | None = None,
-    ) -> dict[str, Tensor]:
-        """Quantities ``(K, S, ...)`` float32 after each of the S physics steps.
+def done_spec(num_envs: int) -> Composite:
+    """Of the flags that end an episode."""
+    flags = ("done", "terminated", "truncated")
+    return Composite(
+        {key: Binary(1, shape=(num_envs, 1), dtype=torch.bool) for key in flags}, shape=(num_envs,)
+    )
 
-        Args:
-            keys: which, of ``SUBSTEP_KEYS``.
-            qpos, qvel: states after each physics step ``(K, S, ...)``, float64.
-            sensors: sensor values of the steps ``(K, S, nsensordata)``.
-            gravity: direction of gravity ``(K, 3)`` [world] if the floor is not level.
-        """
-        acceleration = self.columns.acceleration
-        down = torch.from_numpy(self._gravity) if gravity is None else gravity.double()
-        read: dict[str, Callable[[], Tensor]] = {
-            "joint_position": lambda: qpos.float().index_select(-1, self.qpos_index),
-            "joint_velocity": lambda: qvel.float().index_select(-1, self.qvel_index),
-            "joint_torque": lambda: sensors[..., self.columns.torque],
-            "base_position": lambda: qpos[..., :3],
-            "base_orientation": lambda: qpos[..., 3:7],
-            "projected_gravity": lambda: rotate_inverse(qpos[..., 3:7], down[:, None]),
-            "base_linear_velocity": lambda: qvel[..., :3],
-            "base_angular_velocity": lambda: qvel[..., 3:6],
-            "base_acceleration": lambda: sensors[..., acceleration : acceleration + 3],
-        }
-        return {key: read[key]().float() for key in keys}
+
+def markdown_table(quantities: Iterable[Quantity] = (*QUANTITIES, FLAG, *BALL)) -> str:
+    """The table of ``docs/reference/quantities.md``."""
+    rows = [("key", "shape", "unit", "content", "age"), ("---",) * 5]
+    for q in quantities:
+        name = q.name if isinstance(q.name, str) else str(q.name).replace("'", '"')
+        shape = " x ".join(map(str, q.shape))
+        rows.append((f"`{name}`", shape, q.unit, q.content, q.age))
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)

@@ -28,6 +28,8 @@ class NoisyStart(Transform):
         ValueError: on a negative standard deviation, or a clearance that is no range.
     """
 
+    replaced_in_batteries = True  # by starts of a battery
+
     def __init__(
         self,
         env: HumanoidEnv,

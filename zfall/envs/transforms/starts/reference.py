@@ -8,11 +8,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import Transform
 
-from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
+from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.values import per_world
 from zfall.fingerprints import reads_files
 from zfall.motions.library import load_motions, motions_file
 from zfall.rotations import rotate, turned
+from zfall.simulation.quantities import STATE_KEYS
 
 
 @reads_files(lambda values, robot: [motions_file(robot)])
@@ -28,7 +29,7 @@ class ReferenceStart(Transform):
 
     Args:
         env: the base env.
-        motions: names of motions, see ``docs/gaits.md``; all if ``None``.
+        motions: names of motions, see ``docs/reference/motions.md``; all if ``None``.
         joint_position: standard deviation of each angle [rad].
         joint_velocity: standard deviation of each speed [rad/s].
         heading: whether to turn the robot by an angle drawn uniformly.
@@ -40,6 +41,8 @@ class ReferenceStart(Transform):
     Source: Duburcq et al., "Reactive stepping for humanoid robots using reinforcement learning",
     IROS 2022, section IV-B. The motions are our own, the deviations of the noise not published.
     """
+
+    replaced_in_batteries = True  # by starts of a battery
 
     def __init__(
         self,

@@ -4,14 +4,15 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import Transform
 
-from zfall.envs.humanoid import START_KEYS, HumanoidEnv
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.placing import START_KEYS
 
 
 class ScriptedStart(Transform):
     """Starts every world in a state given beforehand.
 
     Writes the keys ``("start", NAME)`` for the reset of the base env, NAME being one of
-    ``zfall.envs.humanoid.START_KEYS``, from ``states``, which may be changed between episodes.
+    ``zfall.envs.placing.START_KEYS``, from ``states``, which may be changed between episodes.
 
     Args:
         env: the base env.
@@ -20,6 +21,8 @@ class ScriptedStart(Transform):
     Raises:
         ValueError: on a name that is not one of ``START_KEYS``.
     """
+
+    replaced_in_batteries = True  # by starts of a battery
 
     def __init__(self, env: HumanoidEnv, *, states: dict[str, Tensor]):
         super().__init__()
