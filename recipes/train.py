@@ -13,7 +13,7 @@ from zfall.commands import shell_line, shown_path
 from zfall.evaluation.showcase import show
 from zfall.policies.load import check_holds_run
 from zfall.simulation.model import identity_of
-from zfall.training.config import check_config
+from zfall.training.checks import check_config
 from zfall.training.learner import Learner
 from zfall.training.loop import number_of_updates, resumed_config, train, try_one_step
 from zfall.training.run_folder import RunFolder, check_version, removed_if_unused, write_config
@@ -58,7 +58,7 @@ def main(cfg: DictConfig) -> None:
                     f"behind it, got {cfg.total_frames}."
                 )
             learner.load_state_dict(state)
-        run = RunFolder(folder)
+        run = RunFolder(folder, cfg)
         if state is None:
             write_config(cfg, HydraConfig.get().overrides.task, folder)
         else:

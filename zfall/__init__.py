@@ -3,10 +3,14 @@
 import os
 import sys
 from ctypes.util import find_library
+from importlib import import_module
+from typing import Any
 
 import gymnasium
 
 from zfall.configs import options_of
+
+__version__ = "0.2.0.dev0"
 
 
 def _spin_briefly() -> None:
@@ -37,6 +41,13 @@ def _register() -> None:
             vector_entry_point="zfall.envs.gym:TaskVectorEnv",
             kwargs={"task": task},
         )
+
+
+def __getattr__(name: str) -> Any:
+    """``zfall.load_policy`` and ``zfall.Policy``: torch is loaded when they are asked for."""
+    if name in ("Policy", "load_policy"):
+        return getattr(import_module("zfall.policies"), name)
+    raise AttributeError(f"module zfall has no attribute {name}")
 
 
 _spin_briefly()

@@ -9,10 +9,10 @@ from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 from torchrl.modules import IndependentNormal, ProbabilisticActor, set_recurrent_mode
 
-from zfall.envs.mirror import Mirror
 from zfall.losses.symmetry import MirroredMemory, SymmetryAugmentation, SymmetryLoss
 from zfall.modules.actors import gru_actor, mlp_actor
 from zfall.modules.critics import gru_critic, mlp_critic
+from zfall.modules.mirror import Mirror
 
 OBSERVED, JOINTS = 4, 2
 SPEC = Composite(

@@ -90,7 +90,7 @@ BAD = [
     (["+env.transforms.x={_target_: no.X}"], "that Python can import, got no.X: No module named"),
     (["+env.transforms.x={_target_: tests.shell.X}"], "got tests.shell.X: tests.shell has no X."),
     (
-        ["+env.transforms.reward.terms.y=[0.1,{_target_:tests.test_train.row}]"],
+        ["+env.transforms.reward.terms.y=[0.1,{_target_:tests.recipes.test_train.row}]"],
         "row is called in every step: beside its _target_ say _partial_: true.",
     ),
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
@@ -112,7 +112,7 @@ BAD = [
         "warm_start must be a run folder, or one of atalante, best, best_gru, icub, kneel, kneel_soft, zeroth_fall; there",
     ),
     (
-        ["+env.transforms.reward.terms.mine=[0.1,{_target_:tests.test_train.row,_partial_:true}]"],
+        ["+env.transforms.reward.terms.mine=[0.1,{_target_:tests.recipes.test_train.row,_partial_:true}]"],
         "terms.mine must return (2, 1), one number per world, got (2,)",
     ),
     (["total_frames=many"], "total_frames must be a positive number, got many"),

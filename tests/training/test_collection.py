@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from tensordict import TensorDictBase
 
-from zfall.envs import simulation
+from zfall.simulation import cpu as simulation
 from zfall.simulation.turns import others_turn
 from zfall.studies.plan import training_digest
 from zfall.training.collection import Worlds, group_sizes

@@ -242,7 +242,7 @@ def test_a_loss_that_is_no_number_ends_the_training(compose_config):
     """At once: the checkpoint before it stays the last."""
     learner = Learner(compose_config("num_envs=8", "rollout_steps=4"))
     broken = torch.tensor(torch.nan, requires_grad=True)
-    learner.auxiliary = [lambda _: TensorDict({"loss_broken": 1.0 * broken})]
+    learner.losses.auxiliary = {"broken": lambda _: TensorDict({"loss_broken": 1.0 * broken})}
     with pytest.raises(ValueError, match="loss_broken must stay finite, got nan in update 1"):
         learner.learn(learner.collect())
 
@@ -253,7 +253,8 @@ def test_a_gradient_that_is_no_number_is_not_taken(compose_config):
     learner = Learner(compose_config(*sizes))
     weights = learner.parameters[0]
     before = [parameter.detach().clone() for parameter in learner.parameters]
-    learner.auxiliary = [lambda _: TensorDict({"loss_broken": (0.0 * weights.sum()).sqrt()})]
+    nothing = {"broken": lambda _: TensorDict({"loss_broken": (0.0 * weights.sum()).sqrt()})}
+    learner.losses.auxiliary = nothing
     with pytest.raises(ValueError, match="loss gradient must stay finite, got nan in update 1"):
         learner.learn(learner.collect())
     for parameter, value in zip(learner.parameters, before, strict=True):
@@ -302,7 +303,7 @@ def test_divergence_counts_what_was_drawn(compose_config, monkeypatch):
         known.append(out["kl"].item())
         return out
 
-    learner.augmentation = marked
+    learner.losses.augmentation = marked
     monkeypatch.setattr(learner.loss, "forward", recording)
     out = learner.learn(learner.collect())
     assert known[0] == 0.0
@@ -341,9 +342,9 @@ def test_burnt_in_sequences_are_what_is_learned_from(compose_config, monkeypatch
     monkeypatch.setattr(learner.loss, "forward", learning)
     learner.learn(learner.collect())
     assert len(learned) == 5 * 2
-    assert all(
-        part is cut and part.shape[1] == 4 for part, cut in zip(learned, shortened, strict=True)
-    )
+    for part, cut in zip(learned, shortened, strict=True):
+        assert part["observation"] is cut["observation"]
+        assert part.shape[1] == 4
 
 
 def test_partial_reset_of_the_whole_task_leaves_the_other_rows_alone(compose_config):
@@ -385,8 +386,9 @@ def test_sigma_by_name_finds_its_place_in_the_observation(compose_config):
     learner = Learner(compose_config("num_envs=2", "caps=atalante", sigma))
     expected = torch.zeros(46)
     expected[:3], expected[26:46] = 0.1, 0.2
-    assert_close(learner.auxiliary[0].sigma[:46], expected)
-    assert not learner.auxiliary[0].sigma[46:].any()
+    (caps,) = learner.losses.auxiliary.values()
+    assert_close(caps.sigma[:46], expected)
+    assert not caps.sigma[46:].any()
 
 
 @pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
@@ -403,7 +405,7 @@ def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, a
         for _ in range(4):
             losses = learner.learn(learner.collect())
         assert set(losses) >= {"loss_temporal", "loss_spatial"}
-        caps_loss = learner.auxiliary[0]
+        (caps_loss,) = learner.losses.auxiliary.values()
         caps_loss.temporal_coeff = caps_loss.spatial_coeff = 1.0
         rough[weight] = caps_loss(learner.collect())
     for term in ("loss_temporal", "loss_spatial"):
@@ -459,7 +461,7 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
             compose_config("num_envs=16", "rollout_steps=8", f"actor={actor}", f"symmetry={name}")
         )
         if name == "loss":
-            learner.auxiliary[0].coeff = 3.0
+            learner.losses.auxiliary["auxiliary_losses.symmetry"].coeff = 3.0
         for _ in range(5):
             losses = learner.learn(learner.collect())
         assert ("loss_symmetry" in losses) == (name == "loss")
@@ -467,7 +469,8 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
             compose_config("num_envs=16", "rollout_steps=8", f"actor={actor}", "symmetry=loss")
         )
         measure.actor.load_state_dict(learner.actor.state_dict())
-        error[name] = measure.auxiliary[0](measure.collect())["loss_symmetry"].item()
+        (loss,) = measure.losses.auxiliary.values()
+        error[name] = loss(measure.collect())["loss_symmetry"].item()
     assert error["loss"] < 0.3 * error["none"]
     assert error["augmentation"] < error["none"]
 
@@ -478,15 +481,17 @@ def test_losses_beside_ppos_see_a_share_of_each_minibatch(compose_config, share,
         compose_config("num_envs=16", "rollout_steps=8", "caps=atalante", f"auxiliary_share={share}")
     )  # fmt: skip
     seen = []
-    (caps,) = learner.auxiliary
-    learner.auxiliary = [lambda part: seen.append(len(part)) or caps(part)]
+    (caps,) = learner.losses.auxiliary.values()
+    learner.losses.auxiliary = {"caps": lambda part: seen.append(len(part)) or caps(part)}
     learner.learn(learner.collect())
     assert seen == [rows] * 10  # of two minibatches of 64 in each of five passes
 
 
 @pytest.mark.parametrize("actor", ["mlp_mog", "gru_mog"])
-def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compose_config, actor):
-    """Their values and gradients, with the actions of PPO's pass and with passes of their own."""
+def test_one_pass_of_the_policy_gives_all_losses_what_passes_of_their_own_would(
+    compose_config, monkeypatch, actor
+):
+    """Values and gradients, with what PPO's pass gives and with passes of each loss."""
     options = (
         "num_envs=16",
         "rollout_steps=12",
@@ -504,37 +509,28 @@ def test_what_ppo_knows_of_the_policy_is_what_the_other_losses_would_find(compos
     assert begins[:, 1:].any()
     with torch.no_grad(), set_recurrent_mode(True):
         learner.advantage(batch)
+    batch["near"] = batch["observation"] + 0.1 * torch.randn_like(batch["observation"])
     part = batch[:8] if actor == "gru_mog" else batch[:8].reshape(-1)
-    taken = {"deterministic_action": ["loss_temporal", "loss_symmetry"],
-             "mirrored_action": ["loss_symmetry"]}  # fmt: skip
-    if actor == "gru_mog":
-        taken["neighbour_action"] = ["loss_spatial"]
-    found = []
-    for known in (True, False):
-        torch.manual_seed(0)  # of the neighbours
-        with set_recurrent_mode(True):
-            out, some, actions = learner._ppo(part)
-            assert {loss.companion_key for loss in actions} == {*taken} - {"deterministic_action"}
-            for loss, asked in actions.items():
-                some[loss.companion_key] = asked
-            if not known:
-                out, some = learner.loss(part), some.exclude(*taken)
+    learner.losses.auxiliary["auxiliary_losses.caps"].neighbour_key = "near"
+    passes, found = [], []
+    run = learner.actor.get_dist_params
+    monkeypatch.setattr(
+        learner.actor, "get_dist_params", lambda *args, **kw: passes.append(1) or run(*args, **kw)
+    )
+    for one_pass in (True, False):
+        learner._one_pass = one_pass
+        passes.clear()
         torch.manual_seed(0)
-        values = {k: v for loss in learner.auxiliary for k, v in loss(some).items()}
-        values |= {k: v for k, v in out.items() if k.startswith("loss_")}
+        values = {k: v for k, v in learner._losses_of(part).items() if k.startswith("loss_")}
         learner.optimizer.zero_grad()
         sum(values.values()).backward()
-        gradient = [p.grad.clone() for p in learner.parameters]
-        found.append((values, gradient))
-        if known:  # and they do take them
-            for action, keys in taken.items():
-                moved = some.copy().update({action: 2 * some[action]})
-                changed = {k: v for loss in learner.auxiliary for k, v in loss(moved).items()}
-                assert all(changed[key] > 1.1 * values[key] for key in keys)
-    beside = ("loss_temporal", "loss_spatial", "loss_symmetry")
-    assert all(found[0][0][key] > 1e-6 for key in beside)
+        found.append((values, [p.grad.clone() for p in learner.parameters], len(passes)))
+    added = ("loss_temporal", "loss_spatial", "loss_symmetry")
+    assert all(found[0][0][key] > 1e-6 for key in added)
     assert sum(g.abs().sum() for g in found[0][1]) > 1e-3
-    assert_close(found[0], found[1], rtol=1e-3, atol=1e-6)
+    assert_close(found[0][:2], found[1][:2], rtol=1e-3, atol=1e-6)
+    # An MLP sees the step that follows in a pass of its own.
+    assert (found[0][2], found[1][2]) == ((1, 4) if actor == "gru_mog" else (2, 3))
 
 
 def test_two_losses_of_the_same_name_are_refused(compose_config):
@@ -566,14 +562,14 @@ def test_a_recurrent_actor_made_of_torchrls_module_replays_what_it_did(compose_c
     learner = Learner(
         compose_config("num_envs=8", "rollout_steps=12", "epochs=1", "minibatches=1",
                        "env.transforms.limit.seconds=0.36", "caps=atalante", "~actor",
-                       "+actor={_target_: tests.test_learner.gru_of_torchrl}")
+                       "+actor={_target_: tests.training.test_learner.gru_of_torchrl}")
     )  # fmt: skip
     for _ in range(2):
         batch = learner.collect()
         means = learner.learn(batch)
     assert batch["is_init"][:, 1:].any()
     assert abs(means["kl"]) < 1e-6
-    (caps,) = learner.auxiliary
+    (caps,) = learner.losses.auxiliary.values()
     assert caps.companions(batch) is None  # that module lends no memory: CAPS asks it by itself
     assert means["loss_spatial"] > 0
 
@@ -587,7 +583,7 @@ class LossWithItsOwnPass(PenalizedPPOLoss):
 
 
 def test_a_ppo_loss_with_a_pass_of_its_own_goes_with_losses_that_ask_for_companions(compose_config):
-    own = "+loss._target_=tests.test_learner.LossWithItsOwnPass"
+    own = "+loss._target_=tests.training.test_learner.LossWithItsOwnPass"
     learner = Learner(compose_config("num_envs=4", "rollout_steps=4", own, "symmetry=loss"))
     assert learner.learn(learner.collect())["loss_symmetry"] > 0
 
@@ -652,7 +648,7 @@ FAULTS = [
     (["loss.normalize_advantage=epoch"], "must be minibatch, batch or null, got epoch"),
     (["symmetry=loss", "env=zeroth_fall", "+env.transforms.stack={_target_: torchrl.envs.CatFrames, N: 2, dim: -1, in_keys: [observation], out_keys: [observation]}"],
      "a mirrored observation must be one vector"),
-    (["+auxiliary_losses.own={_target_: tests.test_learner.LossOfItsOwn}"],
+    (["+auxiliary_losses.own={_target_: tests.training.test_learner.LossOfItsOwn}"],
      "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
     (["+auxiliary_losses.own={_target_: nowhere.Loss}"],
      r"auxiliary_losses.own._target_ must name .* got nowhere.Loss: No module named 'nowhere'"),
@@ -688,14 +684,14 @@ class Counting(LossModule):
 
 def test_what_a_loss_and_the_scheduler_remember_is_resumed(compose_config):
     """Two passes of three minibatches."""
-    own = "+auxiliary_losses.own={_target_: tests.test_learner.Counting}"
+    own = "+auxiliary_losses.own={_target_: tests.training.test_learner.Counting}"
     sizes = ("num_envs=4", "rollout_steps=4", "epochs=2", "minibatches=3")
     learner = Learner(compose_config(own, *sizes))
     learner.learn(learner.collect())
-    assert learner.auxiliary[0].times == 6
+    assert learner.losses.auxiliary["auxiliary_losses.own"].times == 6
     resumed = Learner(compose_config(own, *sizes))
     resumed.load_state_dict(learner.state_dict())
-    assert resumed.auxiliary[0].times == 6
+    assert resumed.losses.auxiliary["auxiliary_losses.own"].times == 6
     assert resumed.scheduler.last_kl == learner.scheduler.last_kl > 0
 
 
@@ -711,7 +707,7 @@ class Misnamed(LossModule):
 
 
 def test_a_loss_under_another_name_is_refused(compose_config):
-    own = "+auxiliary_losses.own={_target_: tests.test_learner.Misnamed}"
+    own = "+auxiliary_losses.own={_target_: tests.training.test_learner.Misnamed}"
     learner = Learner(compose_config(own, "num_envs=4", "rollout_steps=4"))
     with pytest.raises(ValueError, match=r"Misnamed must write .*loss_, wrote size"):
         learner.learn(learner.collect())

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -10,7 +11,7 @@ from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from zfall.modules.actors import normalizer_of, recurrent_keys
-from zfall.modules.gru import StackedGRU
+from zfall.modules.gru import StackedGRU, borrow_memory
 
 NORMS = {
     "l1": lambda x: x.abs().sum(-1),
@@ -110,6 +111,11 @@ class CAPSLoss(LossModule):
         self.normalizer = normalizer_of(actor_network)
         self.sigma = _spread(sigma, spans or {})
 
+    @classmethod
+    def for_task(cls, actor_network: ProbabilisticActor, task: Any, **values: Any) -> "CAPSLoss":
+        """With the ``spans`` of the task's observation, see ``zfall.training.task_facts``."""
+        return cls(actor_network, task.spans("observation"), **values)
+
     def companions(self, tensordict: TensorDictBase) -> TensorDictBase | None:
         """The neighbours, seen with the memory of each step, for their ``neighbour_action``.
 
@@ -119,8 +125,7 @@ class CAPSLoss(LossModule):
             return None
         near = tensordict.select(*self.actor_network.in_keys)
         near["observation"] = self._neighbour(tensordict)
-        near["memory_of"] = torch.arange(len(near))[:, None].expand(near.shape)
-        return near
+        return borrow_memory(near)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Both losses of a batch."""
@@ -151,14 +156,14 @@ class CAPSLoss(LossModule):
 
     def _sequences(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """mu of the batch, and of neighbours with the same memory, each ``(N, T, J)``."""
-        (hidden,) = recurrent_keys(self.actor_network)
         seen = batch.select(*self.actor_network.in_keys)
         near = seen.copy()
         with set_recurrent_mode(True):
             mu = self._act(seen)
         near["observation"] = self._neighbour(batch)
         # Before each step:
-        near[hidden] = torch.cat([seen[hidden][:, :1], seen["next", hidden][:, :-1]], 1)
+        for hidden in recurrent_keys(self.actor_network):
+            near[hidden] = torch.cat([seen[hidden][:, :1], seen["next", hidden][:, :-1]], 1)
         with set_recurrent_mode(False):
             return mu, self._act(near.reshape(-1)).view_as(mu)
 

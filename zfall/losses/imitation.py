@@ -68,6 +68,13 @@ class ImitationLoss(LossModule):
         self.weight = coeff / (2.0 * std**2)
         self._teacher: list[Any] = [teacher]  # in a list its weights are none of this module's
 
+    @classmethod
+    def for_task(
+        cls, actor_network: ProbabilisticActor, task: Any, *, teacher: str, **values: Any
+    ) -> "ImitationLoss":
+        """With the policy of a run, or one that ships, by its name as the teacher."""
+        return cls(actor_network, task.policy(teacher), **values)
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of a batch."""
         mu = tensordict.get("deterministic_action", None)

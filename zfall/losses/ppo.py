@@ -1,13 +1,16 @@
 """Proximal policy optimisation with what RLlib's has beside the clipping."""
 
-from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDictBase, TensorDictParams
+from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
+
+from zfall.losses.policy_pass import keep_policy, kept_policy, policy_pass
+
+_LOG_PROB = "log_prob_now"  # of the actions of a batch, by the present weights
 
 
 class PenalizedPPOLoss(ClipPPOLoss):
@@ -31,18 +34,14 @@ class PenalizedPPOLoss(ClipPPOLoss):
     1.5 if the divergence was more than twice the target, by half if less than half of it. It is a
     buffer, the only state beside the networks.
 
-    Without the three it is ``ClipPPOLoss``. ``distribution`` is that of the actions in the last
-    batch, with its graph, so that losses beside this one need not run the actor again. What they
-    want to know of other states they put into ``beside``, inputs of the actor, each ``(M, ...)`` or
-    ``(M, T, ...)``: it goes through them along with the next batch, as a recurrent one takes nearly
-    as long for a few sequences as for many, and ``distribution_beside`` is that of its actions, in
-    their order. Sequences may name others of the batch by ``memory_of``, see ``StackedGRU``, if
-    they come last.
+    Without the three it is ``ClipPPOLoss``. The actor runs once: where the batch keeps the
+    distribution of its actions, see ``policy_pass``, that is taken.
 
-    Keys: as ``ClipPPOLoss``; also writes ``kl`` ``()``, the mean of ``r - 1 - log r``, and with a
-    penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says which samples are ``mirrored``
-    ``(B, ...)`` bool, the divergence is that of the others: the policy of collection did not
-    draw the mirrored ones.
+    Keys: reads the inputs of actor and critic, ``action``, ``action_log_prob``, ``advantage``,
+    ``value_target`` and ``state_value``; writes as ``ClipPPOLoss``, and ``kl`` ``()``, the mean of
+    ``r - 1 - log r``, and with a penalty ``loss_kl`` and ``kl_coeff`` ``()``. If the batch says
+    which samples are ``mirrored`` ``(B, ...)`` bool, the divergence is that of the others: the
+    policy of collection did not draw the mirrored ones.
 
     Args:
         actor_network, critic_network: as for ``ClipPPOLoss``, and further values of it.
@@ -93,17 +92,18 @@ class PenalizedPPOLoss(ClipPPOLoss):
         self.out_keys = [*self.out_keys, "kl"]
         if self.penalized:
             self.out_keys += ["loss_kl", "kl_coeff"]
-        self._log_ratio: Any = None
-        self.distribution: Any = None
-        self.beside: list[TensorDictBase] = []
-        self.distribution_beside: Any = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Losses and figures of a batch, each ``()``."""
-        out = super().forward(tensordict)
-        log_ratio, self._log_ratio = self._log_ratio, None
-        mirrored = tensordict.get("mirrored", None)
+        policy = kept_policy(tensordict)
+        if policy is None:
+            policy = self._run_actor(tensordict)
+        log_prob = policy.log_prob(tensordict[self.tensor_keys.action])
+        here = keep_policy(tensordict, policy).set(_LOG_PROB, log_prob)
+        out = super().forward(here)
+        log_ratio = (log_prob - tensordict[self.tensor_keys.sample_log_prob]).unsqueeze(-1)
         divergence = log_ratio.exp() - 1 - log_ratio
+        mirrored = tensordict.get("mirrored", None)
         if mirrored is None:
             divergence = divergence.mean()
         else:  # of a few sequences all may be mirrored: nothing is known of the divergence then
@@ -134,37 +134,22 @@ class PenalizedPPOLoss(ClipPPOLoss):
             loss = loss.clamp(max=self.critic_coeff * self.value_error_clip)
         return loss, *figures
 
-    def _log_weight(self, tensordict: TensorDictBase, *args: Any, **kwargs: Any) -> tuple:
-        """What TorchRL computes anyway and does not give out: the actor need not run again."""
-        result = super()._log_weight(tensordict, *args, **kwargs)
-        self._log_ratio, self.distribution = result[:2]
-        return result
+    def _set_in_keys(self) -> None:
+        """What ``forward`` reads once advantages are known."""
+        keys = [*self.actor_network.in_keys, *self.critic_network.in_keys, "action"]
+        keys += ["action_log_prob", "advantage", "value_target", "state_value"]
+        self._in_keys = list(dict.fromkeys(keys))
+
+    def _run_actor(self, tensordict: TensorDictBase) -> Any:
+        with (
+            self.actor_network_params.to_module(self.actor_network, preserve_module_state=False)
+            if self.functional
+            else nullcontext()
+        ):
+            return policy_pass(self.actor_network, tensordict)[0]
 
     def _get_cur_log_prob(
         self, tensordict: TensorDictBase, params: TensorDictParams | None = None
     ) -> tuple[Tensor, Any, bool]:
-        beside, self.beside = self.beside, []
-        if not beside:
-            return super()._get_cur_log_prob(tensordict, params)
-        actor, rows = self.actor_network, len(tensordict)
-        inputs = _together([tensordict, *beside], actor.in_keys)
-        weights = self.actor_network_params if params is None else params
-        with (
-            weights.to_module(actor, preserve_module_state=False)
-            if self.functional
-            else nullcontext()
-        ):
-            found = actor.get_dist_params(inputs)
-            distribution = actor.build_dist_from_params(found[:rows])
-            self.distribution_beside = actor.build_dist_from_params(found[rows:])
-        return distribution.log_prob(tensordict[self.tensor_keys.action]), distribution, False
-
-
-def _together(batches: Sequence[TensorDictBase], keys: Iterable[NestedKey]) -> TensorDictBase:
-    """Their inputs of the actor in one; all name whose memory they have, if one does."""
-    inputs = [batch.select(*keys) for batch in batches]
-    named = [batch.get("memory_of", None) for batch in batches]
-    if any(names is not None for names in named):
-        for part, names in zip(inputs, named, strict=True):
-            part["memory_of"] = torch.full(part.shape, -1) if names is None else names
-    return torch.cat(inputs)
+        """TorchRL's place to run the actor, which has run by then."""
+        return tensordict[_LOG_PROB], kept_policy(tensordict), False

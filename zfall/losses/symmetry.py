@@ -13,8 +13,8 @@ from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
-from zfall.envs.mirror import Mirror
 from zfall.modules.actors import recurrent_keys
+from zfall.modules.mirror import Mirror
 
 
 class SymmetryLoss(LossModule):
@@ -43,7 +43,6 @@ class SymmetryLoss(LossModule):
     Source: Yu et al., "Learning symmetric and low-energy locomotion", SIGGRAPH 2018.
     """
 
-    mirrored = ("observation", "action")
     companion_key = "mirrored_action"
     actor_network: ProbabilisticActor
     out_keys = ["loss_symmetry"]
@@ -62,6 +61,15 @@ class SymmetryLoss(LossModule):
         self.mirrors = nn.ModuleDict(mirrors)
         self.memories = memories([actor_network], mirrors)
         self.in_keys = [*actor_network.in_keys, *(memory.key for memory in self.memories)]
+
+    @classmethod
+    def for_task(
+        cls, actor_network: ProbabilisticActor, task: Any, **values: Any
+    ) -> "SymmetryLoss":
+        """With the mirrors of the task, see ``zfall.training.task_facts``."""
+        return cls(
+            actor_network, {key: task.mirror(key) for key in ("observation", "action")}, **values
+        )
 
     def companions(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The mirror image of what the policy read, of which ``mirrored_action`` is to be."""
@@ -112,8 +120,6 @@ class SymmetryAugmentation(nn.Module):
     ICRA 2024, who add the images to the samples.
     """
 
-    mirrored = ("observation", "observation_critic", "action")
-
     def __init__(
         self,
         networks: Iterable[TensorDictModuleBase],
@@ -128,6 +134,14 @@ class SymmetryAugmentation(nn.Module):
         self.mirrors = nn.ModuleDict(mirrors)
         self.memories = memories(networks, mirrors)
         self.in_keys = [memory.key for memory in self.memories]
+
+    @classmethod
+    def for_task(
+        cls, networks: Iterable[TensorDictModuleBase], task: Any, **values: Any
+    ) -> "SymmetryAugmentation":
+        """With the mirrors of the task, see ``zfall.training.task_facts``."""
+        keys = ("observation", "observation_critic", "action")
+        return cls(networks, {key: task.mirror(key) for key in keys}, **values)
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -240,6 +240,9 @@ def normalizer_of(module: nn.Module) -> ObservationNormalizer | None:
 
 
 def recurrent_keys(module: nn.Module) -> list[str]:
-    """Names of the hidden states that an actor or a critic carries from step to step."""
-    keys: Any = module.in_keys
-    return [key for key in keys if str(key).startswith("recurrent_state")]
+    """Names of the hidden states that a network carries from step to step.
+
+    Those that it reads, and whose successor it writes under ``("next", name)``.
+    """
+    reads, writes = cast(Any, module).in_keys, cast(Any, module).out_keys
+    return [key for key in reads if ("next", key) in writes]

@@ -1,12 +1,15 @@
 """Stacked GRU cells, fast over the short sequences that PPO learns from."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torchrl.modules import GRUModule
+
+_MEMORY_OF = "memory_of"  # of a sequence: whose memory it borrows, -1 for none
 
 # A gradient by an argument, from that by the value: one operation for three.
 sigmoid_backward, tanh_backward = torch.ops.aten.sigmoid_backward, torch.ops.aten.tanh_backward
@@ -63,12 +66,12 @@ class StackedGRU(GRUModule):
         return tensordict
 
     def _sequences(self, tensordict: TensorDictBase) -> TensorDictBase:
-        keys = [key for key in (*self.in_keys, "memory_of") if key in tensordict.keys()]
+        keys = [key for key in (*self.in_keys, _MEMORY_OF) if key in tensordict.keys()]
         rows = tensordict.select(*keys).reshape(-1, tensordict.shape[-1])
         value, memories, begins = (rows[key] for key in self.in_keys)
         own, lenders = len(rows), torch.empty(0, dtype=torch.int64)
-        if "memory_of" in keys:
-            own, lenders = _lenders(rows["memory_of"])
+        if _MEMORY_OF in keys:
+            own, lenders = _lenders(rows[_MEMORY_OF])
         goes_on = (~begins[:own]).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
         memories = torch.where(begins[:own, 0, :, None], 0.0, memories[:own, 0])
         memories = memories.transpose(0, 1).contiguous()
@@ -80,6 +83,43 @@ class StackedGRU(GRUModule):
         after = torch.stack(states, 2)
         tensordict[self.out_keys[1]] = after.reshape(*tensordict.shape, *after.shape[2:])
         return tensordict
+
+
+def borrow_memory(sequences: TensorDictBase) -> TensorDictBase:
+    """Sequences ``(N, T)`` that are seen, step by step, with the memory of those of a batch.
+
+    The n-th borrows from the n-th of the batch that goes through the network with them, see
+    ``together``.
+    """
+    rows = torch.arange(len(sequences))[:, None]
+    return sequences.copy().set(_MEMORY_OF, rows.expand(sequences.shape))
+
+
+def together(
+    batches: Sequence[TensorDictBase], keys: Iterable[NestedKey]
+) -> tuple[TensorDictBase, list[slice]]:
+    """Several batches in one, the first in front, those that borrow memory last.
+
+    Args:
+        batches: each ``(M, ...)``.
+        keys: of a network's inputs.
+
+    Returns:
+        All of them, and where each lies in it.
+    """
+    keys = list(keys)
+    borrows = [_MEMORY_OF in batch.keys() for batch in batches]
+    order = sorted(range(len(batches)), key=lambda i: borrows[i])
+    parts = [batches[i].select(*keys) for i in order]
+    if any(borrows):
+        for part, i in zip(parts, order, strict=True):
+            own = torch.full(part.shape, -1)
+            part[_MEMORY_OF] = batches[i][_MEMORY_OF] if borrows[i] else own
+    places, start = [slice(0)] * len(batches), 0
+    for i in order:
+        places[i] = slice(start, start + len(batches[i]))
+        start = places[i].stop
+    return (torch.cat(parts) if len(parts) > 1 else parts[0]), places
 
 
 def _lenders(memory_of: Tensor) -> tuple[int, Tensor]:

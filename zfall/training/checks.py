@@ -1,16 +1,24 @@
-"""The numbers of a training, each in its range, and what its env must hold."""
+"""The config of a training and its env, checked before anything is built from them."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from zfall.configs import compose_config
 from zfall.errors import check_keys, check_number, check_whole
-from zfall.falling.falling_start import FallingStart
 from zfall.training.collection import group_sizes
+from zfall.training.losses import check_loss, target_of
 
+KEYS = {
+    *("seed", "num_envs", "groups", "alike", "total_frames", "rollout_steps", "epochs"),
+    *("minibatches", "burn_in", "max_grad_norm", "averaging", "resume", "warm_start", "name"),
+    *("checkpoint_every", "showcase", "env", "actor", "critic", "loss", "optimizer", "scheduler"),
+    *("experiment", "auxiliary_losses", "auxiliary_share", "augmentation", "logger"),
+}
 _COUNTS = ("num_envs", "alike", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 _TABLES = {
     "optimizer": "{_target_: torch.optim.Adam, lr: 5.0e-4}",
@@ -26,17 +34,62 @@ _WRITTEN_BY = {  # what learning reads of every task
 }
 
 
+def whole_config(config: DictConfig | Mapping[str, Any]) -> DictConfig:
+    """The config of a training, its numbers checked.
+
+    Args:
+        config: composed from ``recipes/train.yaml``; or a nested dict, of whose top level what is
+            missing is the quickstart's.
+
+    Raises:
+        ValueError: on a key that nothing reads, or a number out of its range.
+    """
+    if isinstance(config, DictConfig):
+        cfg = config
+    else:
+        check_keys(OmegaConf.create(dict(config)), KEYS)
+        cfg = compose_config()
+        OmegaConf.set_struct(cfg, False)
+        for key, value in config.items():
+            cfg[key] = value
+    check_ranges(cfg)
+    return cfg
+
+
+def check_config(cfg: DictConfig) -> None:
+    """Refuses a composed config of ``recipes.train``.
+
+    Raises:
+        ValueError: on a key that nothing reads, a number out of its range, or a loss or
+            augmentation that is no table with the path of something that can be imported.
+    """
+    check_keys(cfg, KEYS)
+    check_number(
+        cfg.total_frames, "total_frames", lambda x: 0 < x < math.inf, "be a positive number"
+    )
+    check_ranges(cfg)
+    check_loss(cfg.loss)
+    for name, loss in cfg.auxiliary_losses.items():
+        target_of(loss, f"auxiliary_losses.{name}")
+    for number, logger in enumerate(cfg.logger or ()):
+        target_of(logger, f"logger.{number}")
+    if cfg.augmentation is not None:
+        target_of(cfg.augmentation, "augmentation")
+
+
 def check_task(env: TransformedEnv, alike: int = 1) -> None:
     """Refuses an env that lacks what learning reads, or begins another number of worlds alike.
+
+    A transform that starts several worlds in the same state says how many in a row as ``alike``.
 
     Raises:
         ValueError: naming the key and a transform that brings it.
     """
-    begins = next((t.alike for t in env.transform if isinstance(t, FallingStart)), 1)
+    begins = next((t.alike for t in env.transform if hasattr(t, "alike")), 1)
     if alike != begins:
         raise ValueError(
-            f"alike must be env.transforms.falling.alike, here {begins} (1 without one), "
-            f"got {alike}."
+            f"alike must be that of the transform that starts episodes, here {begins} (1 without "
+            f"one), got {alike}."
         )
     specs = (env.observation_spec, env.full_reward_spec, env.full_action_spec)
     there = {key for spec in specs for key in spec.keys()}

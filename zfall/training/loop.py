@@ -35,7 +35,7 @@ def resumed_config(
     Raises:
         ValueError: on a value that cannot change in the middle of a run.
     """
-    free = ("total_frames", "checkpoint_every", "showcase")
+    free = ("total_frames", "checkpoint_every", "showcase", "logger", "name")
     for override in overrides:
         key = override.partition("=")[0]
         if key != "resume" and key.split(".")[0] not in free:
@@ -44,6 +44,9 @@ def resumed_config(
                 f"only {', '.join(free)} may change."
             )
     cfg = DictConfig(OmegaConf.create(stored))
+    for key in ("logger", "name"):  # a run from before they were there has their defaults
+        if key not in cfg:
+            cfg[key] = given[key]
     for key in (override.partition("=")[0] for override in overrides):
         if key != "resume":
             OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
@@ -56,7 +59,7 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     Returns:
         Whether it came to its end; False if ctrl-c ended it early.
     """
-    learner, run = Learner(cfg), RunFolder(folder)
+    learner, run = Learner(cfg), RunFolder(folder, cfg)
     if (folder / "checkpoints" / "last.pt").exists():
         state = checkpoint.load(folder / "checkpoints" / "last.pt")
         check_version(state["run"], folder)
@@ -84,7 +87,9 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
             times.append(time.perf_counter())
             losses = learner.learn(batch)
             times.append(time.perf_counter())
-            run.write(learner, batch_metrics(batch, learner.carrier, control_dt), losses, times)
+            metrics = batch_metrics(batch, learner.carrier, control_dt)
+            figures = learner.exploration(batch) if run.loggers else {}
+            run.write(learner, metrics, losses, times, figures)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates == total:
                 run.save_last_and_best(learner)
             seconds = times[-1] - times[0]

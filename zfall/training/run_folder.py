@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
-from torchrl.record import TensorboardLogger
 
 from zfall import checkpoint
 from zfall.commands import remove_if_empty
 from zfall.training.learner import Learner
+from zfall.training.logging import Loggers
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 WINDOW = 10  # updates over which the best checkpoint is looked for
@@ -49,21 +49,22 @@ def check_version(state: dict[str, Any], folder: Path) -> None:
 
 
 class RunFolder:
-    """The files of a run: metrics, timings, TensorBoard, checkpoints.
+    """The files of a run: metrics, timings, checkpoints, and what its loggers write.
 
     Args:
         folder: the run folder.
+        cfg: of the training, whose ``logger`` and ``name`` are read.
 
     Raises:
         OSError: if it cannot be written.
     """
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, cfg: DictConfig):
         self.folder = folder
         (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK):
             raise PermissionError(f"hydra.run.dir must be writable, {folder} is not.")
-        self.board = TensorboardLogger(exp_name="tensorboard", log_dir=str(folder))
+        self.loggers = Loggers(cfg.get("logger") or [], folder, cfg.get("name"))
         self.last = {"episode_return": math.nan, "episode_seconds": math.nan}
         self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
         self.best: tuple[float, ...] = ()
@@ -74,6 +75,7 @@ class RunFolder:
         metrics: dict[str, float],
         losses: dict[str, float],
         times: list[float],
+        figures: dict[str, float],
     ) -> None:
         """Adds the row of an update; what depends on the clock goes to its own file.
 
@@ -82,6 +84,7 @@ class RunFolder:
             metrics: of the batch.
             losses: of the last pass over it.
             times: when the update began, had its batch, and ended [s].
+            figures: more, for the loggers alone.
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
         self.note(metrics)
@@ -98,8 +101,7 @@ class RunFolder:
         }
         append_row(self.folder / "metrics.csv", row)
         append_row(self.folder / "timing.csv", timing)
-        for key, value in row.items():
-            self.board.log_scalar(key, value, step=learner.frames)
+        self.loggers.log(row | figures | {"frames_per_s": timing["frames_per_s"]}, learner.frames)
 
     def note(self, metrics: dict[str, float]) -> None:
         """Remembers how good an update's episodes were, if any ended."""

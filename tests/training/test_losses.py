@@ -6,11 +6,11 @@ from hydra.errors import InstantiationException
 from torch.testing import assert_close
 
 from zfall.losses.ppo import PenalizedPPOLoss
-from zfall.training.config import check_config
+from zfall.training.checks import check_config
 from zfall.training.learner import Learner
 
 SIZES = ("num_envs=4", "rollout_steps=4", "epochs=2", "minibatches=3")
-HERE = "+loss._target_=tests.test_objective."
+HERE = "+loss._target_=tests.training.test_losses."
 
 
 class OwnWeights(PenalizedPPOLoss):

@@ -1,14 +1,23 @@
-"""Losses as the config names them: PPO's or a class of one's own, and what else has a target."""
+"""The losses and the augmentation that a config names, built and checked.
+
+A class may have a classmethod ``for_task(networks, task, **values)``: it is built by that, and may
+ask the ``TaskFacts`` where quantities lie in an observation, how they mirror, or for a trained
+policy. All others get the network, or networks, and their values.
+"""
 
 import inspect
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, open_dict
+from tensordict import unravel_key
 
-from zfall.errors import check_keys, not_found
+from zfall.errors import check_keys, in_one_line, not_found
 from zfall.losses.ppo import PenalizedPPOLoss
+from zfall.training.task_facts import TaskFacts
 
 LOSS_KEYS = {
     *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
@@ -17,7 +26,7 @@ LOSS_KEYS = {
 
 
 def ppo_loss(cfg: DictConfig, actor: torch.nn.Module, critic: torch.nn.Module) -> PenalizedPPOLoss:
-    """The loss of a run.
+    """PPO's loss of a run.
 
     Args:
         cfg: the group ``loss``, see ``check_loss``; keys that are not of ``LOSS_KEYS`` go to the
@@ -80,6 +89,29 @@ def check_loss(cfg: DictConfig) -> None:
     check_keys(cfg, LOSS_KEYS | {"_target_"} | (named - given), "loss.")
 
 
+def build_loss(config: DictConfig, place: str, networks: Any, task: TaskFacts) -> Any:
+    """An auxiliary loss or the augmentation.
+
+    Args:
+        config: a table with a ``_target_``.
+        place: where that stands in the config, for messages.
+        networks: the actor, or all networks: what the class takes first.
+        task: what a ``for_task`` of the class may ask.
+
+    Raises:
+        ValueError: if there is no such class, or what it asks for is not there.
+    """
+    if not hasattr(target_of(config, place), "for_task"):
+        return instantiate(config, networks)
+    own = config.copy()
+    with open_dict(own):
+        own["_target_"] = f"{config['_target_']}.for_task"
+    try:
+        return instantiate(own, networks, task.at(place))
+    except InstantiationException as error:
+        raise ValueError(in_one_line(error)) from error
+
+
 def target_of(config: Any, place: str) -> Any:
     """What the ``_target_`` of a table names.
 
@@ -103,3 +135,56 @@ def target_of(config: Any, place: str) -> Any:
     except (ImportError, ValueError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise ValueError(f"{place}._target_ {not_found(target, reason)}") from None
+
+
+def check_losses(losses: Mapping[str, Any], trained: Iterable[torch.nn.Parameter]) -> None:
+    """Refuses losses, by their place, with parameters or names that would go unseen.
+
+    Raises:
+        ValueError: on a parameter that nothing would train or save, or one name that two write:
+            the first would not be learned.
+    """
+    known = {parameter.data_ptr() for parameter in trained}
+    writes: dict[str, str] = {}
+    for place, loss in losses.items():
+        own = [name for name, value in loss.named_parameters() if value.data_ptr() not in known]
+        if own:
+            raise ValueError(
+                f"{place} must have no parameters but the actor's and the critic's, nothing would "
+                f"train or save its {own[0]}."
+            )
+        for key in getattr(loss, "out_keys", ()):
+            if writes.setdefault(key, place) != place:
+                raise ValueError(
+                    f"{place} must write under names of its own (out_keys), {key} is written by "
+                    f"{writes[key]} already: take one of the two out."
+                )
+
+
+def check_reads(losses: Mapping[str, Any], given: Iterable[Any]) -> None:
+    """Refuses losses, by their place, that read what is not there.
+
+    Raises:
+        ValueError: naming the key.
+    """
+    given = set(given)
+    for place, loss in losses.items():
+        for key in loss.in_keys:
+            here = unravel_key(key[1:]) if isinstance(key, tuple) and key[0] == "next" else key
+            if here not in given:
+                raise ValueError(f"{place} must read what env or networks give, not {key}.")
+
+
+def buffers_of(
+    modules: Mapping[str, Any], networks: Iterable[torch.nn.Module]
+) -> dict[str, torch.Tensor]:
+    """What losses and the augmentation remember, by place; the networks' own buffers left out."""
+    # A loss holds those of the networks too, under other names.
+    known = {buffer.data_ptr() for network in networks for buffer in network.buffers()}
+    return {
+        f"{place}.{name}": buffer
+        for place, module in modules.items()
+        if isinstance(module, torch.nn.Module)
+        for name, buffer in module.named_buffers()
+        if buffer.data_ptr() not in known
+    }

@@ -1,0 +1,148 @@
+"""Everything that one training is made of, built from its config before it begins."""
+
+import inspect
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from tensordict import NestedKey
+from tensordict.nn import TensorDictSequential
+from torchrl.data import Composite
+from torchrl.envs import TransformedEnv
+from torchrl.objectives.value import GAE
+
+from zfall.losses.advantage import RecurrentGAE
+from zfall.losses.ppo import PenalizedPPOLoss
+from zfall.modules.actors import normalizer_of, recurrent_keys
+from zfall.modules.exploring import ExploringActor
+from zfall.training.losses import build_loss, check_losses, ppo_loss
+from zfall.training.task_facts import TaskFacts
+
+
+@dataclass
+class Losses:
+    """What a minibatch is learned from.
+
+    Attributes:
+        ppo: PPO's loss.
+        auxiliary: the losses added to it, by their place in the config.
+        augmentation: what is done to a minibatch before; ``None``: nothing.
+        teachers: digests of the policies that losses learn from, by place.
+    """
+
+    ppo: PenalizedPPOLoss
+    auxiliary: dict[str, Any]
+    augmentation: Any
+    teachers: dict[str, str]
+
+    @property
+    def by_place(self) -> dict[str, Any]:
+        """All losses by their place in the config."""
+        return {"loss": self.ppo, **self.auxiliary}
+
+
+def build_critic(cfg: DictConfig, spec: Composite, actor: Any) -> Any:
+    """The critic; with ``normalize: shared`` it has the actor's normaliser.
+
+    Raises:
+        ValueError: if the actor has none to share.
+    """
+    shared: dict[str, Any] = {}
+    if cfg.critic.get("normalize") == "shared":
+        shared["normalize"] = normalizer_of(actor)
+        if shared["normalize"] is None:
+            raise ValueError("critic.normalize=shared needs an actor that has a normaliser.")
+    return instantiate(cfg.critic, spec, **shared)
+
+
+def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) -> Losses:
+    """All losses of a training, checked against each other.
+
+    Raises:
+        ValueError: on a loss that cannot be built, trains nothing, or writes another's name.
+    """
+    task = TaskFacts(env, cfg)
+    auxiliary = {}
+    for name, config in cfg.auxiliary_losses.items():
+        place = f"auxiliary_losses.{name}"
+        auxiliary[place] = build_loss(config, place, actor, task)
+    augmentation = None
+    if cfg.augmentation:
+        augmentation = build_loss(cfg.augmentation, "augmentation", [actor, critic], task)
+        for place, loss in auxiliary.items():
+            key = getattr(loss, "neighbour_key", None)
+            if key not in (None, "observation_neighbour"):
+                raise ValueError(
+                    f"{place}.neighbour_key must be observation_neighbour for the augmentation to "
+                    f"mirror it, got {key}."
+                )
+    losses = Losses(ppo_loss(cfg.loss, actor, critic), auxiliary, augmentation, task.teachers)
+    check_losses(losses.by_place, [*actor.parameters(), *critic.parameters()])
+    return losses
+
+
+def followers(critic: Any, losses: Losses) -> list[Any]:
+    """Networks with a memory, besides the actor's, that run along with it in every step."""
+    along = [critic] if recurrent_keys(critic) else []
+    asking = [*losses.auxiliary.values(), losses.augmentation]
+    memories = [memory for loss in asking for memory in getattr(loss, "memories", ())]
+    return along + list({memory.key: memory for memory in memories}.values())
+
+
+def acting_policy(actor: Any, along: list[Any], spec: Composite) -> Any:
+    """What acts in every step: the actor, which explores, and the networks that run along."""
+    acting = ExploringActor(actor) if "exploration_noise" in spec.keys() else actor
+    return TensorDictSequential(acting, *along) if along else acting
+
+
+def build_advantage(cfg: DictConfig, critic: Any) -> GAE:
+    """The estimator of advantages that fits the critic."""
+    values = {"gamma": cfg.loss.gamma, "lmbda": cfg.loss.lmbda}
+    if recurrent_keys(critic):
+        return RecurrentGAE(critic, **values)
+    return GAE(**values, value_network=critic, deactivate_vmap=True)
+
+
+def build_optimizer(
+    cfg: DictConfig, parameters: list[torch.nn.Parameter]
+) -> tuple[torch.optim.Optimizer, Any]:
+    """The optimizer, and the scheduler of its learning rate or ``None``.
+
+    Raises:
+        ValueError: on a scheduler that does not follow the divergence.
+    """
+    kind, values = instantiate(cfg.optimizer, _partial_=True).func, dict(cfg.optimizer)
+    known = inspect.signature(kind).parameters.values()
+    if not any(value.name == "fused" or value.kind is value.VAR_KEYWORD for value in known):
+        values.pop("fused", None)  # Adam's, from train.yaml: another has taken its place
+    optimizer = instantiate(values, parameters)
+    scheduler = instantiate(cfg.scheduler, optimizer) if cfg.scheduler else None
+    if scheduler and not (
+        "kl" in inspect.signature(scheduler.step).parameters
+        and hasattr(scheduler, "load_state_dict")
+    ):
+        raise ValueError(
+            "scheduler must follow the KL divergence, torchrl.objectives.KLAdaptiveLR or one "
+            "with step(kl), state_dict and load_state_dict, or be null; "
+            f"got {cfg.scheduler._target_}."
+        )
+    return optimizer, scheduler
+
+
+def learned_keys(losses: Losses, hidden: list[str]) -> list[NestedKey]:
+    """Keys of a batch that its minibatches need."""
+    keys: list[NestedKey] = ["observation", "observation_critic", "is_init", *hidden]
+    keys += ["action", "action_log_prob"]
+    wanted = [key for loss in losses.by_place.values() for key in loss.in_keys]
+    made = ("advantage", "value_target", "state_value")  # after the batch is collected
+    return list(dict.fromkeys([*keys, *(key for key in wanted if key not in made)]))
+
+
+def stored_keys(learned: list[NestedKey], critic: Any) -> list[NestedKey]:
+    """Keys to keep while a batch is collected: those learned from, and those looked at."""
+    flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
+    flags += ["episode_reward", "step_count", "diverged"]
+    after: list[NestedKey] = [("next", key) for key in [*critic.in_keys, *flags]]
+    return [*learned, "state_value", *after]

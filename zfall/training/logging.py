@@ -1,0 +1,97 @@
+"""Loggers of a training: TorchRL's, or a class of one's own with the same methods."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensorboard.compat.proto.summary_pb2 import Summary
+from torchrl.record import TensorboardLogger
+
+
+class Loggers:
+    """Hands every figure of a training to all loggers of its config.
+
+    Nothing that a logger does changes a result: its random numbers are not the training's.
+
+    Args:
+        configs: each a table with a ``_target_``. In its texts ``{folder}`` stands for the run
+            folder and ``{name}`` for the name of the run.
+        folder: the run folder.
+        name: of the run; the folder's if ``None``.
+
+    Raises:
+        ValueError: on a text with another word in braces.
+    """
+
+    def __init__(self, configs: Sequence[DictConfig], folder: Path, name: str | None = None):
+        words = {"folder": str(folder), "name": name or folder.resolve().name}
+        self.loggers: list[Any] = []
+        with _own_random_numbers():
+            for number, config in enumerate(configs):
+                plain = OmegaConf.to_container(config, resolve=True)
+                self.loggers.append(instantiate(_filled(plain, words, f"logger.{number}")))
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self.loggers)
+
+    def log(self, figures: Mapping[str, float], frames: int) -> None:
+        """Writes figures, by name, of the update that ended after so many ``frames``."""
+        with _own_random_numbers():
+            for logger in self.loggers:
+                for name, value in figures.items():
+                    logger.log_scalar(name, value, step=frames)
+
+    def log_film(self, path: Path, frames: int) -> list[str]:
+        """Hands over a film; returns why a logger did not take it, if one did not."""
+        refused = []
+        with _own_random_numbers():
+            film = imageio.imread(path)  # (T, H, W, 3) uint8
+            for logger in self.loggers:
+                try:
+                    _log_film(logger, film, frames)
+                except Exception as error:  # a package that it needs, a format it has not
+                    reason = (str(error).splitlines() or [type(error).__name__])[0]
+                    refused.append(f"{type(logger).__name__} has no film: {reason}")
+        return refused
+
+
+def _log_film(logger: Any, film: Any, frames: int) -> None:
+    if not isinstance(logger, TensorboardLogger):
+        video = torch.from_numpy(film).permute(0, 3, 1, 2)[None]  # (1, T, 3, H, W)
+        logger.log_video("film", video, step=frames)
+        return
+    # TensorBoard shows a GIF as a film; torch's own writer of them needs moviepy.
+    coded = imageio.imwrite("<bytes>", film[:, ::2, ::2], extension=".gif", duration=80, loop=0)
+    height, width = film.shape[1] // 2, film.shape[2] // 2
+    image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=coded)
+    summary = Summary(value=[Summary.Value(tag="film", image=image)])
+    logger.experiment._get_file_writer().add_summary(summary, frames)
+
+
+def _filled(value: Any, words: Mapping[str, str], place: str) -> Any:
+    """A config with the words in braces replaced in all of its texts."""
+    if isinstance(value, dict):
+        return {key: _filled(entry, words, f"{place}.{key}") for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_filled(entry, words, f"{place}.{i}") for i, entry in enumerate(value)]
+    if not isinstance(value, str):
+        return value
+    try:
+        return value.format(**words)
+    except (KeyError, IndexError, ValueError):
+        known = ", ".join(f"{{{word}}}" for word in words)
+        raise ValueError(
+            f"{place} must have no words in braces but {known}, got {value}."
+        ) from None
+
+
+@contextmanager
+def _own_random_numbers() -> Iterator[None]:
+    with torch.random.fork_rng(devices=[]):
+        yield
