@@ -13,7 +13,7 @@ from zfall.falling.kneel_reference import KneelReference
 from zfall.falling.movements import load_catches, save_catches
 from zfall.robots import ZEROTH01
 
-KNEEL = torch.tensor(ZEROTH01.kneel_position)
+KNEEL = torch.tensor(ZEROTH01.posture("kneel"))
 KNEE, LEFT = (ZEROTH01.joints.index(f"{side}_knee_pitch") for side in ("right", "left"))
 
 
@@ -193,7 +193,7 @@ def test_bad_values_are_refused(make_base):
         ValueError, match="catches must be a file that recipes.falling.catches wrote"
     ):
         KneelReference(make_base(), catches="nowhere.npz")
-    robot = dataclasses.replace(ZEROTH01, kneel={})
+    robot = dataclasses.replace(ZEROTH01, postures={})
     env = HumanoidEnv(num_envs=1, robot=robot, control_dt=0.04, physics_dt=0.004)
-    with pytest.raises(ValueError, match="needs a robot with a kneel; zeroth01 has none"):
+    with pytest.raises(ValueError, match="zeroth01 must have a posture 'kneel'"):
         KneelReference(env)

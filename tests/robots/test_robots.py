@@ -130,6 +130,14 @@ def test_stand_keyframe_is_the_reference_pose(model):
         assert key.ctrl[model.actuator(joint).id] == pytest.approx(angle)
 
 
+def test_postures_are_keyframes_and_have_a_name(model):
+    key = model.key("kneel")
+    for joint, angle in zip(ZEROTH01.joints, ZEROTH01.posture("kneel"), strict=True):
+        assert key.ctrl[model.actuator(joint).id] == pytest.approx(angle)
+    with pytest.raises(ValueError, match="zeroth01 .* 'sit'; it has kneel"):
+        ZEROTH01.posture("sit")
+
+
 def test_every_link_can_touch_the_floor(model):
     floor = model.geom("floor")
     for body in range(1, model.nbody):

@@ -21,36 +21,39 @@ from zfall.rotations import turn_to_heading
 class KneelReference(Transform):
     """Moves the reference of the targets along a safe way down once the robot is to kneel.
 
-    ``target = clamp(way + share (target - stand), joint range)``: ``way`` is the standing pose in
-    mode RECOVER and ``share`` 1; in the others every joint goes at ``speed`` through the postures
-    of a movement.
-    A policy that does nothing so kneels by script; one that learns corrects the script, by as much
-    as the target before it, which the joint ranges bound too, leaves.
+    ``target = clamp(way + share (target - stand), joint range)``. In mode RECOVER ``way`` is the
+    standing pose and ``share`` 1; in the others every joint goes at ``speed`` through the postures
+    of a movement. A policy whose actions are zero so kneels by script; a policy that learns
+    corrects the script, within the joint ranges.
 
-    The posture is the robot's kneel until the center of mass moves faster than ``moving`` along
-    the ground; then the movement begins that ``recipes.falling.catches`` found for falls of the nearest
-    heading and speed. For ``settle`` the choice is made anew, since a push may not be over. Left
-    and right have their own: what mirrors actions (``symmetry``) fits but roughly. Where
-    ``MirroredFalls`` says so, movement and correction are the image of what they would be on the
-    other side.
+    The posture is the robot's ``kneel`` until the center of mass moves faster than ``moving``
+    along the ground. Then the movement begins that ``recipes.falling.catches`` found for falls of
+    the nearest heading and speed. For ``settle`` the choice is made anew in every step, since a
+    push may still act. Falls to the left and to the right have different movements: the losses and
+    augmentations of ``symmetry`` fit only roughly. In worlds with ``fall_mirrored`` movement and
+    correction are the image of those of the other side.
 
-    Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
-    sensing wrote it, and what ``MirroredFalls`` writes if that is in the table; changes ``target``
-    ``(N, J)`` [rad]. Comes after ``JointPositionTarget``.
+    Keys: reads ``mode`` ``(N, 3)``, ``base_orientation`` ``(N, 4)`` and ``com_velocity``
+    ``(N, 3)`` [m/s], measured where sensing wrote them, and ``fall_mirrored`` ``(N, 1)`` if
+    ``MirroredFalls`` writes it; changes ``target`` ``(N, J)`` [rad]. Comes after
+    ``JointPositionTarget``.
 
     Args:
         env: the base env.
         speed: of each joint [rad/s].
         moving: speed of the center of mass at which the movement begins [m/s].
-        settle: time in which it may become another one [s].
-        landing: time from the movement's begin for which the policy corrects it [s]; over as long
-            again its share then fades to 0, so that the robot comes to rest by script. ``None``:
-            it always does, as it does until there is a movement.
+        settle: time in which another movement may take its place [s].
+        landing: time from the movement's begin for which the policy corrects it [s]. Over the same
+            time again its share fades to 0, so that the robot comes to rest by script. ``None``:
+            the policy always corrects, as it does before there is a movement.
         catches: file of the movements; ``None``: that of the robot.
 
     Raises:
-        ValueError: if the robot has no kneel, there are no catches, or a number is not positive.
+        ValueError: if the robot has no posture ``kneel``, there are no catches, or a number is not
+            positive; in the first step, if nothing writes ``mode`` or ``control`` is there already.
     """
+
+    acts_by_itself = True  # a baseline that holds still leaves it out
 
     way: Tensor
     choice: Tensor
@@ -68,8 +71,7 @@ class KneelReference(Transform):
     ):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
         robot = env.robot
-        if not robot.kneel:
-            raise ValueError(f"KneelReference needs a robot with a kneel; {robot.name} has none.")
+        kneel = torch.tensor(robot.posture("kneel"))
         landing = math.inf if landing is None else landing
         positive = {"speed": speed, "moving": moving, "settle": settle, "landing": landing}
         for name, value in positive.items():
@@ -84,12 +86,10 @@ class KneelReference(Transform):
         self.catches = load_catches(robot, None if catches is None else Path(catches))
         index, sign = mirror_quantity(robot, "target")
         self.mirror_index, self.mirror_sign = torch.tensor(index), torch.tensor(sign)
-        self.mirrored = False  # MirroredFalls sets it
         movements = self.catches.postures.flatten(0, 1)
-        kneel = torch.tensor(robot.kneel_position).expand(1, movements.shape[1], -1)
-        movements = torch.cat([movements, kneel])
+        movements = torch.cat([movements, kneel.expand(1, movements.shape[1], -1)])
         self.movements = torch.stack([movements, self._image(movements)])  # by the side
-        self.none = len(movements) - 1  # where the kneel stands, for who does not move yet
+        self.none = len(movements) - 1  # the kneel, of worlds that do not move yet
         self.register_buffer("way", env.stand_position.repeat(env.num_envs, 1))
         self.register_buffer("choice", torch.full((env.num_envs,), self.none))
         self.register_buffer("clock", torch.zeros(env.num_envs, dtype=torch.long))  # [steps]
@@ -111,8 +111,8 @@ class KneelReference(Transform):
         x, y = turn_to_heading(read_measured(tensordict, "base_orientation"), velocity).unbind(-1)
         correction = tensordict["target"] - self.stand
         side: Tensor | int = 0
-        if self.mirrored:
-            mirrored = tensordict["fall_mirrored"]
+        mirrored = tensordict.get("fall_mirrored", None)
+        if mirrored is not None:
             side = mirrored[:, 0].long()
             y = torch.where(mirrored[:, 0], -y, y)
             correction = torch.where(mirrored, self._image(correction), correction)

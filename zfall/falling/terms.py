@@ -1,7 +1,7 @@
-"""How a robot goes down on its knees, and whether it rests there.
+"""Terms for going down on the knees, and for resting there.
 
-Source: the kneel rewards of the design notes of the Zeroth-fall project, which name what counts
-and how much; kernels and scales are ours.
+Source: the kneel rewards in the design notes of the Zeroth-fall project, which name the terms and
+their weights; kernels and scales are ours.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,7 +64,7 @@ def in_mode(
 ) -> Tensor:
     """The value of another term in the worlds that acted in a mode, 0 (or false) in the others.
 
-    Reads ``mode`` ``(*B, 3)``, of before the step, and what the term reads. Returns ``(*B, 1)``.
+    Reads ``mode`` ``(*B, 3)`` before the step, and what the term reads. Returns ``(*B, 1)``.
     """
     value = term(td, next_td)
     return torch.where(td["mode"][..., mode : mode + 1] > 0, value, torch.zeros_like(value))
@@ -79,15 +79,16 @@ def in_slow_fall(
 ) -> Tensor:
     """The value of another term in falls slower than ``below`` [m/s], 0 (or false) in the others.
 
-    Reads ``falling_speed`` ``(*B, 1)`` [m/s], of ``FallingStart``, and what the term reads; where
-    no episode begins in a fall and it is not there, the term counts. Returns ``(*B, 1)``.
+    Reads ``falling_speed`` ``(*B, 1)`` [m/s], which ``FallingStart`` writes, and what the term
+    reads. Without that key, where no episode begins in a fall, the term counts. Returns
+    ``(*B, 1)``.
     """
     value, speed = term(td, next_td), next_td.get("falling_speed", None)
     return value if speed is None else torch.where(speed < below, value, torch.zeros_like(value))
 
 
 def com_lowering(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -> Tensor:
-    """Share of the way down from standing to two thirds of it, ``clip(3 (1 - z / h0), 0, 1)``.
+    """Share of the way from standing to two thirds of the height, ``clip(3 (1 - z / h0), 0, 1)``.
 
     Reads ``com_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)``.
     """
@@ -96,20 +97,21 @@ def com_lowering(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -
 
 
 def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
-    """High without shocks: ``exp(-(|a| - g)^2 / sigma^2)``, a being the largest over the step.
+    """High without shocks: ``exp(-(|a| - g)^2 / sigma^2)``, with a the largest over the step.
 
-    Reads ``base_acceleration_peak`` ``(*B, 1)``; ``sigma`` [m/s2]. Returns ``(*B, 1)`` in (0, 1].
+    Reads ``base_acceleration_peak`` ``(*B, 1)`` [m/s2]; ``sigma`` [m/s2]. Returns ``(*B, 1)`` in
+    (0, 1].
     """
     excess = next_td["base_acceleration_peak"] - GRAVITY
     return torch.exp(-excess.square() / sigma**2)
 
 
 def harder_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
-    """By how much the step raised the episode's hardest shock, above ``free`` [m/s2].
+    """By how much the step raised the episode's hardest shock above ``free`` [m/s2].
 
-    Over an episode it adds up to the excess of the hardest shock alone, whose peak the batteries
-    report; softer ones after it cost nothing. Reads ``base_acceleration_max`` ``(*B, 1)``, of
-    ``LargestSoFar``. Returns ``(*B, 1)``.
+    Over an episode the sum is the excess of the hardest shock alone, whose peak the batteries
+    report; softer shocks after it cost nothing. Reads ``base_acceleration_max`` ``(*B, 1)``, which
+    ``LargestSoFar`` writes. Returns ``(*B, 1)`` [m/s2].
     """
     before, after = ((x["base_acceleration_max"] - free).clamp_min(0.0) for x in (td, next_td))
     return after - before
@@ -120,7 +122,8 @@ def harder_blow(
 ) -> Tensor:
     """By how much the step raised the episode's largest force on regions with these names [N].
 
-    Reads ``contact_force_max`` ``(*B, R)``, of ``LargestSoFar``. Returns ``(*B, 1)``.
+    Reads ``contact_force_max`` ``(*B, R)`` [N], which ``LargestSoFar`` writes. Returns
+    ``(*B, 1)`` [N].
     """
     of = regions_named(robot, *names)
     before, after = (x["contact_force_max"][..., of].amax(-1, keepdim=True) for x in (td, next_td))
@@ -132,7 +135,8 @@ def first_touch(
 ) -> Tensor:
     """1 for the step in which the first region with one of the names touched the floor.
 
-    Reads ``contact_force_max`` ``(*B, R)``, of ``LargestSoFar``. Returns ``(*B, 1)``.
+    Reads ``contact_force_max`` ``(*B, R)`` [N], which ``LargestSoFar`` writes. Returns
+    ``(*B, 1)``.
     """
     of = regions_named(robot, *names)
     before, after = (
@@ -150,11 +154,11 @@ def kneeling(
     joint_speed: float,
     clean: bool = False,
 ) -> Tensor:
-    """1 while it rests on a knee or shin as ``resting_kneel`` says, with these bounds.
+    """1 in a ``resting_kneel`` with these bounds.
 
-    ``speed`` [m/s and rad/s], ``joint_speed`` [rad/s]; if ``clean``, only as long as torso and head
-    have not touched the floor in this episode, which ``contact_force_max`` ``(*B, R)`` tells.
-    Returns ``(*B, 1)``.
+    ``speed`` [m/s and rad/s], ``joint_speed`` [rad/s]. If ``clean``, only as long as torso and
+    head have not touched the floor in this episode. Reads what ``resting_kneel`` reads and, if
+    ``clean``, ``contact_force_max`` ``(*B, R)`` [N]. Returns ``(*B, 1)``.
     """
     rests = resting_kneel(td, next_td, robot=robot, speed=speed, joint_speed=joint_speed)
     if clean:
@@ -175,7 +179,7 @@ def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: floa
 def region_contact(
     td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
 ) -> Tensor:
-    """1 if a region with one of the names, of either side, touched the floor; ``(*B, 1)``."""
+    """1 if a region with one of the names, left or right, touched the floor; ``(*B, 1)``."""
     return touching(next_td, robot, *names).float()
 
 
@@ -189,12 +193,12 @@ def region_contact_ends(
 def kneel_pose(
     td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: float
 ) -> Tensor:
-    """High in the robot's kneel or its mirror image: ``exp(-|q - q_k|^2 / sigma^2)``.
+    """High in the robot's posture ``kneel`` or its mirror image: ``exp(-|q - q_k|^2 / sigma^2)``.
 
     Reads ``joint_position`` ``(*B, J)`` [rad]; ``sigma`` [rad]. Returns ``(*B, 1)`` in (0, 1].
     """
     position = next_td["joint_position"]
-    pose = position.new_tensor(robot.kneel_position)
+    pose = position.new_tensor(robot.posture("kneel"))
     mirrored = pose[list(robot.mirror_index)] * position.new_tensor(robot.mirror_sign)
     error = torch.stack([(position - p).square().sum(-1) for p in (pose, mirrored)]).amin(0)
     return torch.exp(-error[..., None] / sigma**2)

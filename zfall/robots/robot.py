@@ -1,5 +1,6 @@
-"""Robots as data. A second robot is one more MJCF and one more value in a file of its own."""
+"""Robots as data. A second robot is one more MJCF and one more file with a ``Robot``."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
@@ -31,7 +32,6 @@ class Robot:
         mjcf: path of an MJCF that compiles by itself and has a sensor for every key of the env.
         joints: joint names, in the order of every vector over joints.
         stand: the joints of the standing reference pose that are not at zero [rad].
-        kneel: likewise of a pose in which it rests on a knee, and its torso upright.
         feet: names of the left and the right foot, as in ``feet_position/left``.
         corners: names of the corners of a sole, as in ``feet_corner_force/left/front_left``.
         sole_half_size: half the length and half the width of a sole [m].
@@ -44,6 +44,8 @@ class Robot:
         com_height: height of the center of mass above the floor in the standing pose [m].
         mass: total mass [kg].
         legs: the joints of the legs.
+        postures: other poses by name, each like ``stand``: joints that are not at zero [rad].
+            What needs one names it, see ``posture``.
     """
 
     name: str
@@ -60,17 +62,23 @@ class Robot:
     com_height: float
     mass: float
     legs: tuple[str, ...] = ()
-    kneel: dict[str, float] = field(default_factory=dict)
+    postures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def stand_position(self) -> tuple[float, ...]:
         """Standing reference pose in the order of ``joints`` [rad]."""
         return tuple(self.stand.get(joint, 0.0) for joint in self.joints)
 
-    @property
-    def kneel_position(self) -> tuple[float, ...]:
-        """The kneel in the order of ``joints`` [rad]."""
-        return tuple(self.kneel.get(joint, 0.0) for joint in self.joints)
+    def posture(self, name: str) -> tuple[float, ...]:
+        """A named posture in the order of ``joints`` ``(J,)`` [rad].
+
+        Raises:
+            ValueError: if the robot has none of this name.
+        """
+        if name not in self.postures:
+            there = ", ".join(self.postures) or "none"
+            raise ValueError(f"{self.name} must have a posture {name!r}; it has {there}.")
+        return tuple(self.postures[name].get(joint, 0.0) for joint in self.joints)
 
     @property
     def impulse_unit(self) -> float:
