@@ -8,6 +8,7 @@ MOVED = {
     "zfall.envs.robots": "zfall.robots",
     "zfall.envs.simulation": "zfall.simulation.cpu",
     "zfall.envs.gaits": "zfall.motions.gaits",
+    "zfall.envs.mirror.Mirror": "zfall.modules.mirror.Mirror",
     "zfall.envs.motions": "zfall.motions.library",
     "zfall.envs.rotations": "zfall.rotations",
     "zfall.envs.terms.kneel": "zfall.falling.terms",

@@ -4,9 +4,11 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch.testing import assert_close
+from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.mirror import mirror_action, mirror_quantity, mirror_vector
+from zfall.envs.mirror import mirror_action, mirror_quantity, mirror_vector, mirrors_of
+from zfall.envs.transforms.windows import LargestSoFar
 from zfall.robots import ZEROTH01
 from zfall.rotations import rotate
 
@@ -86,26 +88,47 @@ def test_physics_in_the_mirror_is_the_mirror_image():
         assert away < 0.15 * size + 1e-3, f"{key}: {away:.4f} of {size:.4f}"
 
 
-@pytest.mark.parametrize("key", [*KEYS, "command", "mode", "tilt", "imu_orientation", "feet_load"])
+@pytest.mark.parametrize("key", [*KEYS, "command", "tilt", "imu_orientation", "feet_load"])
 def test_twice_in_the_mirror_is_as_before(key):
     index, _ = mirror_quantity(ZEROTH01, key)
     value = torch.randn(3, len(list(index)))
     assert_close(reflect(key, reflect(key, value)), value)
 
 
+class Wind(Transform):
+    """Brings quantities that no general code knows."""
+
+    mirror_signs = {"wind": (1.0, -1.0, 1.0), "noise_level": (1.0,)}
+    mirror_like = {"contact_force_max": "contact_force_peak", "last_wind": "wind"}
+
+
 @pytest.mark.parametrize(
     ("key", "like"),
     [
-        ("falling_impulse", "push/force"),
+        ("wind", "push/force"),
+        ("last_wind", "push/force"),
+        ("noise_level", "base_height"),
         ("contact_force_max", "contact_force_peak"),
-        ("base_acceleration_max", "base_acceleration_peak"),
-        ("step_count", "base_height"),
     ],
 )
-def test_what_comes_of_a_quantity_is_mirrored_as_it_is(key, like):
-    index, sign = mirror_quantity(ZEROTH01, key)
+def test_a_transform_says_how_its_own_quantities_are_mirrored(key, like):
+    declared = mirrors_of([Transform(), Wind()])
+    index, sign = mirror_quantity(ZEROTH01, key, declared)
     expected = mirror_quantity(ZEROTH01, like)
     assert (list(index), list(sign)) == (list(expected[0]), list(expected[1]))
+    size = len(list(index))
+    mirror = mirror_vector(ZEROTH01, {key: slice(0, size)}, torch.zeros(20, 2), declared=declared)
+    value = torch.randn(3, size)
+    assert_close(mirror(value), value[:, list(index)] * torch.tensor(list(sign)))
+    with pytest.raises(ValueError, match=f"got {key}"):
+        mirror_quantity(ZEROTH01, key)
+
+
+def test_the_largest_so_far_is_mirrored_as_what_it_follows(make_base):
+    largest = LargestSoFar(make_base(), keys={"contact_force_peak": "hardest"})
+    declared = mirrors_of([largest])
+    index, _ = mirror_quantity(ZEROTH01, "hardest", declared)
+    assert list(index) == list(mirror_quantity(ZEROTH01, "contact_force_peak")[0])
 
 
 def test_a_turned_vector_in_the_mirror_is_the_mirrored_one_turned_there():

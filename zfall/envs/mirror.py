@@ -1,19 +1,25 @@
-"""Left and right exchanged in named quantities."""
+"""Left and right exchanged in named quantities.
 
-from collections.abc import Callable, Mapping, Sequence
+The general quantities are known here. A transform that writes others declares how they mirror:
+``mirror_signs`` or ``mirror_like``, see ``mirrors_of``.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torchrl.envs import Transform
 
 from zfall.envs.transforms.commands import ENTRIES
+from zfall.modules.mirror import Mirror
 from zfall.robots import Robot
 
-# Signs under a reflection at the robot's plane of symmetry, which y is normal to.
+# Signs under a reflection at the robot's plane of symmetry, whose normal is y.
 _POLAR, _AXIAL, _QUATERNION = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, -1.0, 1.0, -1.0)
 _SIGNS: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(("base_position", "com_position", "projected_gravity", "push/force"), _POLAR),
     **dict.fromkeys(("base_linear_velocity", "com_velocity", "linear_momentum"), _POLAR),
-    **dict.fromkeys(("base_acceleration", "falling_impulse"), _POLAR),
+    "base_acceleration": _POLAR,
     **dict.fromkeys(("base_angular_velocity", "angular_momentum"), _AXIAL),
     **dict.fromkeys(("base_orientation", "imu_orientation"), _QUATERNION),
     **dict.fromkeys(("tilt", "roll_pitch"), (-1.0, 1.0)),
@@ -21,8 +27,7 @@ _SIGNS: dict[str, tuple[float, ...]] = {
         ("base_height", "base_acceleration_peak", "joint_torque_peak", "params/foot_friction"),
         (1.0,),
     ),
-    **dict.fromkeys(("base_acceleration_max", "falling_speed", "step_count"), (1.0,)),
-    "mode": (1.0, 1.0, 1.0),
+    "step_count": (1.0,),
     "params/slope": (1.0, -1.0),
     "command": tuple(-1.0 if name in ("vy", "yaw", "roll") else 1.0 for name in ENTRIES),
 }
@@ -34,46 +39,34 @@ _FOOT_SIGNS: dict[str, tuple[float, ...]] = {
     "feet_cop": (1.0, -1.0),
 }
 _JOINTS = ("joint_position", "joint_velocity", "joint_torque", "target", "action", "last_action")
-_OF_REGIONS = ("contact_force_peak", "contact_force_max", "contact_impulse")
+_OF_REGIONS = ("contact_force_peak", "contact_impulse")
 _WITHIN_RANGE = ("joint_position", "target")  # left and right need not have the same ranges
 
 Permutation = tuple[Sequence[int], Sequence[float]]
+Declared = Mapping[str, tuple[float, ...] | str]  # of ``mirrors_of``
 
 
-class Mirror(nn.Module):
-    """Reflects a vector: ``clamp(factor * x[index] + summand, low, high)``.
+def mirrors_of(transforms: Iterable[Transform]) -> dict[str, tuple[float, ...] | str]:
+    """What transforms declare of how the quantities that they write are mirrored.
+
+    The hook for a transform with quantities of its own kind; it has, on its class or itself,
+
+    - ``mirror_signs``: by key, the factor on each component under a reflection at the plane of
+      symmetry, whose normal is y: ``{"wind": (1.0, -1.0, 1.0)}`` for a vector; or
+    - ``mirror_like``: by key, another quantity with the same components that mirrors in the same
+      way: ``{"contact_force_max": "contact_force_peak"}``.
 
     Args:
-        index: which component goes where ``(D,)``.
-        factor, summand: ``(D,)``.
-        low, high: bounds ``(D,)``; none if ``None``.
+        transforms: of a task, ``env.transform``.
+
+    Returns:
+        By key, the signs, or the name of the other quantity.
     """
-
-    index: Tensor
-    factor: Tensor
-    summand: Tensor
-    low: Tensor | None
-    high: Tensor | None
-
-    def __init__(
-        self,
-        index: Tensor,
-        factor: Tensor,
-        summand: Tensor | None = None,
-        low: Tensor | None = None,
-        high: Tensor | None = None,
-    ):
-        super().__init__()
-        self.register_buffer("index", index)
-        self.register_buffer("factor", factor)
-        self.register_buffer("summand", torch.zeros_like(factor) if summand is None else summand)
-        self.register_buffer("low", low)
-        self.register_buffer("high", high)
-
-    def forward(self, vector: Tensor) -> Tensor:
-        """The vector ``(*B, D)`` of the robot in the mirror."""
-        image = vector.index_select(-1, self.index) * self.factor + self.summand
-        return image if self.low is None else image.clamp(self.low, self.high)
+    declared: dict[str, tuple[float, ...] | str] = {}
+    for transform in transforms:
+        declared |= getattr(transform, "mirror_signs", {})
+        declared |= getattr(transform, "mirror_like", {})
+    return declared
 
 
 def mirror_vector(
@@ -81,6 +74,7 @@ def mirror_vector(
     spans: Mapping[str, slice],
     joint_range: Tensor,
     affine: Mapping[str, tuple[float | Tensor, float | Tensor]] | None = None,
+    declared: Declared | None = None,
 ) -> Mirror:
     """Mirror of a vector of named quantities.
 
@@ -92,6 +86,7 @@ def mirror_vector(
         spans: where each quantity lies in the vector, by name; a nested key as ``outer/inner``.
         joint_range: of the joints ``(J, 2)`` [rad].
         affine: of quantities that stand there as ``factor * x + summand``, by name, both.
+        declared: what the transforms of the task declare, ``mirrors_of(env.transform)``.
 
     Raises:
         ValueError: on a quantity whose mirror image is not known.
@@ -101,7 +96,7 @@ def mirror_vector(
     factor, summand = torch.ones(size), torch.zeros(size)
     low, high = torch.full((size,), -torch.inf), torch.full((size,), torch.inf)
     for name, span in spans.items():
-        places, signs = mirror_quantity(robot, name)
+        places, signs = mirror_quantity(robot, name, declared)
         if span.stop - span.start != len(places):
             raise ValueError(
                 f"keys must name whole quantities to be mirrored, {name} has {len(places)} "
@@ -120,12 +115,23 @@ def mirror_vector(
     return Mirror(index, scale, shift, bounds.amin(0), bounds.amax(0))
 
 
-def mirror_quantity(robot: Robot, name: str) -> Permutation:
+def mirror_quantity(robot: Robot, name: str, declared: Declared | None = None) -> Permutation:
     """Of each component of a quantity, where its image comes from, and the sign.
+
+    Args:
+        robot: whose sides are exchanged.
+        name: of the quantity; a nested key as ``outer/inner``.
+        declared: what the transforms of the task declare, ``mirrors_of(env.transform)``.
 
     Raises:
         ValueError: on a quantity whose mirror image is not known.
     """
+    known = {} if declared is None else declared
+    if name in known:
+        own = known[name]
+        if isinstance(own, str):
+            return mirror_quantity(robot, own, {k: v for k, v in known.items() if k != name})
+        return range(len(own)), own
     if name in _SIGNS:
         return range(len(_SIGNS[name])), _SIGNS[name]
     if name in _FOOT_SIGNS:
@@ -136,8 +142,11 @@ def mirror_quantity(robot: Robot, name: str) -> Permutation:
         **dict.fromkeys(_OF_REGIONS, lambda: _regions(robot)),
     }
     if name not in special:
-        known = ", ".join((*_SIGNS, *_FOOT_SIGNS, *special))
-        raise ValueError(f"a mirrored quantity must be one of {known}; got {name}.")
+        names = ", ".join((*_SIGNS, *_FOOT_SIGNS, *special, *known))
+        raise ValueError(
+            f"a mirrored quantity must be one of {names}; got {name}. A transform that writes "
+            "another one declares its mirror_signs, or mirror_like."
+        )
     return special[name]()
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -12,44 +12,50 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS, load_bank
 from zfall.falling.files import own_file
 from zfall.fingerprints import reads_files
-
-SEEN_KEYS = ("target", "feet_force", "com_velocity")  # what a policy sees and no state tells
-
-OF_JOINTS = ("joint_position", "joint_velocity", "target")
 
 
 @reads_files(lambda values, robot: [Path(values.get("bank") or own_file(robot, "falls.npz"))])
 class FallingStart(Transform):
-    """Starts episodes in the midst of falls, states recorded from a policy that was pushed.
+    """Starts a share of the episodes in states of falls that ``recipes.falling.falls`` recorded.
 
-    Writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS`` in a share of the worlds; the
-    others begin as what comes before it in the table says. ``python -m recipes.falling.falls`` records.
-    Of these worlds it also writes what was seen then, ``SEEN_KEYS``, if the bank has them: the
-    target that the servos had, as ``("start", "target")`` ``(N, J)`` [rad], not a number in the
-    other worlds; the forces on the feet, which depend on it and on the push; and the velocity of
-    the center of mass, which sensors tell of the begin of a physics step. A policy that sees at
-    first what it never sees later, the reference as its target, does something else there. Comes
-    before what reads these.
+    In these worlds it writes ``("start", NAME)`` ``(N, ...)`` for all ``STATE_KEYS``; the others
+    start as earlier transforms of the table say. If the bank has ``SEEN_KEYS``, it also restores
+    what the policy saw in that moment: the target of the servos, as ``("start", "target")``
+    ``(N, J)`` [rad], NaN in the other worlds; the forces on the feet; and the velocity of the
+    center of mass, which sensors give at the begin of a physics step. Without them the first
+    observation differs from all later ones, and the policy acts differently. Comes before what
+    reads these.
+
+    Keys: reads and writes ``("start", NAME)``; writes ``falling_impulse`` and ``falling_speed`` if
+    ``pushed``, and ``feet_force`` and ``com_velocity`` at a reset.
 
     Args:
         env: the base env.
         bank: file with arrays ``(K, ...)`` for all ``STATE_KEYS``; ``None``: that of the robot.
         share: of the episodes that begin in a fall.
-        pushed: whether what is left of a push at that moment goes on, at the torso, where those
-            of the bank must have been (``recipes.falling.falls 'points=[torso]'``); ``falling_impulse``
-            ``(N, 3)`` [N s; world] is what is still to come. The bank then has ``push_force``
-            ``(K, 3)`` [N; world], ``push_left`` ``(K, 1)`` [s] and all ``SEEN_KEYS``, too.
-            ``falling_speed`` ``(N, 1)`` [m/s] is how fast the center of mass will move along the
-            ground once all of the push has acted, reckoned at the begin of the episode.
-        alike: worlds in a row that begin in the same state, if they begin in the same step.
+        pushed: whether the rest of the push acts, at the torso, where those of the bank must have
+            been (``recipes.falling.falls 'points=[torso]'``). The bank then needs ``push_force``
+            ``(K, 3)`` [N; world], ``push_left`` ``(K, 1)`` [s] and all ``SEEN_KEYS``.
+            ``falling_impulse`` ``(N, 3)`` [N s; world] is what is still to come. ``falling_speed``
+            ``(N, 1)`` [m/s] is how fast the center of mass will move along the ground once all of
+            the push has acted, computed at the begin of the episode.
+        alike: number of consecutive worlds that begin in the same state, if they begin in the same
+            step.
 
     Raises:
-        ValueError: if the file is missing, is of another robot, lacks pushes that are to go on or
-            numbers, if the share is not in (0, 1], ``alike`` is no number of worlds, or something
-            that reads what it writes stands before it.
+        ValueError: if the file is missing, is of another robot, or lacks numbers or the pushes; if
+            the share is not in (0, 1] or ``alike`` is no number of worlds; or if a transform that
+            reads what it writes comes earlier in the table.
     """
+
+    replaced_in_batteries = True  # which have starts and pushes of their own
+    mirror_signs: ClassVar[Mapping[str, tuple[float, ...]]] = {
+        "falling_impulse": (1.0, -1.0, 1.0),
+        "falling_speed": (1.0,),
+    }
 
     force: Tensor
     left: Tensor
@@ -75,38 +81,15 @@ class FallingStart(Transform):
                 "got null: the robot's own has pushes at the pelvis, too."
             )
         path = own_file(env.robot, "falls.npz") if bank is None else Path(bank)
-        if not path.is_file():
-            raise ValueError(
-                f"bank must be a file that recipes.falling.falls wrote, there is no {path}."
-            )
-        rest = ("push_force", "push_left") if pushed else ()
-        with np.load(path) as file:
-            seen = SEEN_KEYS if pushed or all(key in file for key in SEEN_KEYS) else ()
-            lacking = [key for key in (*STATE_KEYS, *rest, *seen) if key not in file]
-            if lacking:
-                raise ValueError(
-                    f"bank must be a file that recipes.falling.falls wrote, {path} lacks {lacking[0]}: "
-                    "record it again."
-                )
-            states = {
-                key: torch.from_numpy(file[key]).float().flatten(1)
-                for key in (*STATE_KEYS, *rest, *seen)
-            }
-        of_joints = [value.shape[1] for key, value in states.items() if key in OF_JOINTS]
-        if set(of_joints) != {len(env.stand_position)}:
-            raise ValueError(f"bank must be of {env.robot.name}, {path} has other joints.")
-        count = len(states["joint_position"])
-        for key, value in states.items():
-            if len(value) != count or not value.isfinite().all():
-                raise ValueError(
-                    f"bank must hold {count} rows of numbers under every key, as for "
-                    f"joint_position; {path} does not for {key}: record it again."
-                )
+        rest = PUSH_KEYS if pushed else ()
+        states = load_bank(path, env.robot, needs=(*PUSH_KEYS, *SEEN_KEYS) if pushed else ())
+        seen = SEEN_KEYS if all(key in states for key in SEEN_KEYS) else ()
+        states = {key: states[key] for key in (*STATE_KEYS, *rest, *seen)}
         self.share, self.pushed, self.alike = share, pushed, alike
         self.num_envs, self.rng = env.num_envs, env.rng
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
-        self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # but the target, of the start
+        self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # the target is part of the start
         base = torch.tensor(env.simulation.model.key("stand").qpos).float()
         self.stand = {  # of the other worlds, whose soles are put on the floor
             "base_position": torch.full((3,), torch.nan),
@@ -124,7 +107,7 @@ class FallingStart(Transform):
         self.register_buffer("speed", torch.zeros(env.num_envs, 1))
 
     def attach(self, transforms: Mapping[str, Transform]) -> None:
-        """Looks whether what reads ``SEEN_KEYS`` comes after it."""
+        """Checks that transforms that read ``SEEN_KEYS`` come after it."""
         own = next(name for name, t in transforms.items() if t is self)
         for name, transform in transforms.items():
             if transform is self:

@@ -9,7 +9,7 @@ from torchrl.data import Binary, Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.mirror import Mirror, mirror_vector
+from zfall.envs.mirror import mirror_vector, mirrors_of
 from zfall.envs.transforms.observations import (
     CAPSNeighbours,
     NormalizedVector,
@@ -19,33 +19,35 @@ from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.falling.kneel_reference import KneelReference
 from zfall.falling.modes import RECOVER
+from zfall.modules.mirror import Mirror
 from zfall.rotations import turn_to_heading
 
 
 class MirroredFalls(Transform):
-    """Shows falls to the left in a mirror, so that a policy has to catch those to the right alone.
+    """Shows falls to the left in a mirror, so that the policy only has to catch those to the right.
 
-    To which side a world falls is decided by the velocity of its center of mass, in the robot's
-    heading, in the step in which it leaves mode RECOVER, and holds until it recovers again or the
-    episode ends; an episode that begins in another mode has to begin in a fall. If to the left,
-    what policy and critic see is reflected, left and right as well as the y axis of the world,
-    and ``KneelReference`` reflects what the policy does, along with its own movement. The policy
-    so learns from twice as many falls, as far as the robot is symmetric: angles that the arm on
-    the other side cannot take are cut to its range.
+    The side of a fall is that of the velocity of the center of mass, in the robot's heading, in
+    the step that leaves mode RECOVER. It stays until the world recovers or the episode ends; an
+    episode that begins in another mode must begin in a fall. In a fall to the left, observations
+    of policy and critic are reflected, the y axis of the world included, and ``KneelReference``
+    reflects the action and its own movement. The policy learns from twice as many falls, as far
+    as the robot is symmetric: angles that the arm on the other side cannot take are clamped.
 
-    Keys: reads ``mode``, ``base_orientation`` and ``com_velocity`` [m/s], as measured where
-    sensing wrote it; writes ``fall_mirrored`` ``(N, 1)`` bool and changes what the
-    ``ObservationVector`` and ``NormalizedVector`` of the table wrote. Comes after all of these.
+    Keys: reads ``mode`` ``(N, 3)``, ``base_orientation`` ``(N, 4)`` and ``com_velocity``
+    ``(N, 3)`` [m/s], measured where sensing wrote them; writes ``fall_mirrored`` ``(N, 1)`` bool
+    and changes what each ``ObservationVector`` and ``NormalizedVector`` of the table wrote. Comes
+    after all of these.
 
     Args:
         env: the base env.
 
     Raises:
         ValueError: without a ``KneelReference`` or a mode, if it is out of order, or if an
-            observation holds a quantity without a known image, or actions, which are those of the
-            reflected world already.
+            observation contains a quantity without a known image, or actions, which are those of
+            the reflected world already.
     """
 
+    acts_by_itself = True  # a baseline that holds still leaves it out, with KneelReference
     measured = ("base_orientation", "com_velocity")
 
     def __init__(self, env: HumanoidEnv):
@@ -53,16 +55,16 @@ class MirroredFalls(Transform):
         self.robot, self.joint_range = env.robot, env.joint_range
         self.vectors: dict[str, ObservationVector | NormalizedVector] = {}
         self.images: dict[str, Mirror] = {}
+        self.declared: dict[str, tuple[float, ...] | str] = {}
 
     def attach(self, transforms: Mapping[str, Transform]) -> None:
-        """Finds the vectors of the table, and lets its ``KneelReference`` know."""
+        """Finds the vectors of the table, and checks its order."""
         own = next(name for name, t in transforms.items() if t is self)
-        references = [t for t in transforms.values() if isinstance(t, KneelReference)]
-        if not references:
+        if not any(isinstance(t, KneelReference) for t in transforms.values()):
             raise ValueError(
                 f"transforms.{own} needs a KneelReference, which reflects what the policy does."
             )
-        references[0].mirrored = True
+        self.declared = mirrors_of(transforms.values())
         names = list(transforms)
         for name, transform in transforms.items():
             before = names.index(name) < names.index(own)
@@ -97,13 +99,15 @@ class MirroredFalls(Transform):
             actions = [key for key in vector.keys if key in ("action", "last_action")]
             if actions:
                 raise ValueError(
-                    f"transforms.{name}.keys must hold no actions with MirroredFalls, which the "
+                    f"transforms.{name}.keys must have no actions with MirroredFalls, which the "
                     f"policy gave in the reflected world, got {actions[0]}."
                 )
             spans = vector_spans(observation_spec, vector.keys)
             affine = getattr(vector, "affine", None)
             (key,) = vector.out_keys
-            self.images[key] = mirror_vector(self.robot, spans, self.joint_range, affine)
+            self.images[key] = mirror_vector(
+                self.robot, spans, self.joint_range, affine, self.declared
+            )
         shape = (*observation_spec.shape, 1)
         observation_spec["fall_mirrored"] = Binary(shape=shape, dtype=torch.bool)
         return observation_spec

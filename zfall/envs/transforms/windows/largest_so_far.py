@@ -14,8 +14,7 @@ from zfall.envs.transforms.values import reset_rows
 class LargestSoFar(Transform):
     """Keeps the largest value of some quantities since the episode began, 0 at the reset.
 
-    With it a reward can count the hardest shock of a fall alone. What is not a number leaves the
-    largest as it was.
+    With it a reward can count the hardest shock of a fall alone. NaN leaves the largest as it was.
 
     Keys: reads the keys of ``keys`` ``(N, D)``, which are never negative; writes their values
     ``(N, D)``.
@@ -42,6 +41,7 @@ class LargestSoFar(Transform):
             if name in env.observation_spec.keys() or names.count(name) > 1:
                 raise ValueError(f"keys must be written to names of their own, {name} is taken.")
         super().__init__(in_keys=list(keys), out_keys=list(keys.values()))
+        self.mirror_like = {name: key for key, name in keys.items()}
         for key, name in keys.items():
             self.register_buffer(name, torch.zeros(env.observation_spec[key].shape))
 
