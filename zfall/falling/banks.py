@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -19,7 +20,8 @@ _OF_JOINTS = ("joint_position", "joint_velocity", "target")
 
 def save_bank(path: Path, states: Mapping[str, Tensor]) -> None:
     """Writes arrays ``(K, ...)`` float32, which ``load_bank`` reads."""
-    np.savez_compressed(path, **{key: value.numpy() for key, value in states.items()})
+    arrays: dict[str, Any] = {key: value.numpy() for key, value in states.items()}
+    np.savez_compressed(path, **arrays)
 
 
 def load_bank(
