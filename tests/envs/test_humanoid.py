@@ -10,9 +10,8 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.robots import ZEROTH01
+from zfall.robots import ZEROTH01, Ball
 from zfall.rotations import rotate
-from zfall.simulation.model import Ball
 from zfall.simulation.quantities import SUBSTEP_KEYS
 
 

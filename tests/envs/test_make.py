@@ -4,12 +4,12 @@ import pytest
 import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch.testing import assert_close
-from torchrl.envs import Transform, TransformedEnv
+from torchrl.envs import Transform
 from torchrl.envs.utils import check_env_specs
 
-import zfall
+from zfall.configs import options_of
 from zfall.envs.make import make_env
 from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
 from zfall.envs.transforms.observations import ObservationNoise
@@ -35,7 +35,7 @@ def table(**more: object) -> dict[str, object]:
     return {"action": action, **more, "delay": delay}
 
 
-@pytest.mark.parametrize("task", zfall.TASKS)
+@pytest.mark.parametrize("task", options_of("env"))
 def test_every_task_of_the_recipes_holds_its_specs(compose_config, task):
     cfg = compose_config(f"env={task}", "num_envs=3")
     check_env_specs(instantiate(cfg.env))
@@ -137,31 +137,6 @@ def test_sensing_after_the_observation_that_should_hold_it_is_refused(make_base)
     with pytest.raises(ValueError, match=r"transforms.noise must come before vector, which reads"):
         make_env(make_base(), table(vector=vector, noise=noise))
     make_env(make_base(), table(vector=vector, noise=noise | {"before": "vector"}))
-
-
-def test_a_partial_reset_is_put_together_as_torchrl_does_it(make_base):
-    """Nested keys, keys that only one of both has, and rows of a caller's own."""
-    env = make_env(make_base(num_envs=4), {})
-    rows = torch.tensor([[True], [False], [True], [False]])
-
-    def given() -> tuple[TensorDict, TensorDict]:
-        torch.manual_seed(1)
-        flags = {"done": torch.zeros(4, 1, dtype=torch.bool)}
-        flags["terminated"] = flags["truncated"] = flags["done"]
-        old = TensorDict(
-            {"a": torch.randn(4, 3), "n": {"b": torch.randn(4, 2), "gone": torch.randn(4, 1)},
-             "own": torch.randn(4, 2), "_reset": rows, **flags}, [4]
-        )  # fmt: skip
-        new = TensorDict({"a": torch.randn(4, 3), "n": {"b": torch.randn(4, 2)},
-                          "added": torch.randn(4, 1), **flags}, [4])  # fmt: skip
-        return old, new
-
-    ours = env._reset_proc_data(*given())
-    theirs = TransformedEnv._reset_proc_data(env, *given())
-    assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
-    for key in theirs.keys(True, True):
-        assert torch.equal(ours[key], theirs[key]), key
-    assert torch.equal(ours["own"][::2], torch.zeros(2, 2))
 
 
 class AddsInPlace(Transform):

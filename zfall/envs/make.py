@@ -5,7 +5,6 @@ from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from typing import Any
 
-import torch
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, open_dict
 from tensordict import TensorDictBase
@@ -31,10 +30,10 @@ def make_env(
 
     Args:
         base_env: the env, or its config with a ``_target_``.
-        transforms: by name, transforms or their configs. A class whose first parameter is named
-            ``env`` is given the base env; one with a method ``attach`` is called with the table
-            of all that were built. A config may say ``before: NAME``, to stand there and not
-            where it was written: at the end, if the shell added it. ``None`` is left out.
+        transforms: by name, transforms or their configs, see ``build_transform``. A method
+            ``attach`` is called with the table of all that were built. A config may say
+            ``before: NAME``, to stand there and not where it was written: at the end, if the
+            shell added it. ``None`` is left out.
         training_only: names of transforms that evaluation leaves out: pushes, noise, delays,
             randomisation; or a table ``name: true``.
         training: whether to keep them.
@@ -58,12 +57,12 @@ def make_env(
     for transform in built.values():
         if hasattr(transform, "attach"):
             transform.attach(built)
-    _check_measured(built)
     before = [transform for transform in built.values() if transform.in_keys_inv]
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     if "substeps" in env.observation_spec.keys():
         after.append(_DropSubsteps())
-    task = HumanoidTask(env, _Table(*reversed(before), *after))
+    task = TransformedEnv(env, _Table(*reversed(before), *after))
+    _check_measured(built)
     _check_declared(task, built)
     return task
 
@@ -88,44 +87,6 @@ def _copied(module: Compose, state: dict[str, Any], prefix: str, metadata: Any) 
     for key, value in state.items():
         if isinstance(value, Tensor):
             state[key] = value.clone()
-
-
-class HumanoidTask(TransformedEnv):
-    """``TransformedEnv`` that puts a partial reset together row by row.
-
-    TorchRL chooses between old and new in all rows of some sixty keys, of which but a few worlds
-    are new; copying these alone takes half the time, and what the base env has put together
-    itself is taken as it is.
-    """
-
-    def _reset_proc_data(
-        self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        reset = None if tensordict is None else tensordict.get("_reset", None)
-        if tensordict is None or reset is None or reset.all():
-            return super()._reset_proc_data(tensordict, tensordict_reset)
-        self._reset_check_done(tensordict, tensordict_reset)
-        _copy_rows(tensordict_reset, tensordict, reset.reshape(-1).nonzero()[:, 0])
-        return tensordict.exclude("_reset", inplace=True)
-
-
-def _copy_rows(source: TensorDictBase, into: TensorDictBase, rows: Tensor) -> None:
-    """Replaces entries by copies that have the rows ``(K,)`` of others; what is missing is 0."""
-    values, entries = dict(source.items()), dict(into.items())
-    value: Any
-    there: Any
-    for key in (values.keys() | entries.keys()) - {"_reset"}:
-        value, there = values.get(key), entries.get(key)
-        if isinstance(value, TensorDictBase) or isinstance(there, TensorDictBase):
-            there = value.empty() if there is None else there
-            _copy_rows(there.empty() if value is None else value, there, rows)
-        elif value is None:
-            there = there.index_fill(0, rows, 0)
-        else:
-            there = torch.zeros_like(value) if there is None else there
-            there = there.index_copy(0, rows, value.index_select(0, rows))
-        # What ``set`` would check first holds for what came from the env.
-        into._set_str(key, there, validated=True, inplace=False, non_blocking=False)
 
 
 class _DropSubsteps(Transform):
@@ -184,8 +145,6 @@ def _check_measured(built: Mapping[str, Transform]) -> None:
     """Refuses sensing that comes too late: the observation would quietly go without it."""
     read: dict[Any, str] = {}
     for name, transform in built.items():
-        if type(transform).out_keys is not Transform.out_keys:
-            continue  # TorchRL's InitTracker looks for its keys in the env it will get
         for key in transform.out_keys or []:
             if isinstance(key, tuple) and key[0] == "measured" and key[1] in read:
                 raise ValueError(
@@ -221,24 +180,40 @@ def left_out(training_only: Mapping[str, bool] | Collection[str]) -> list[str]:
 def build_transform(
     transform: Transform | Mapping[str, Any], env: HumanoidEnv, place: str = "transform"
 ) -> Transform:
-    """A transform from its config, given the base env if its first parameter is ``env``.
+    """A transform from its config.
+
+    The hook for a transform that has to know the robot, the physics or the random generator: if
+    the first parameter of its class or function is named ``env``, it is the base env. All other
+    parameters come from the config.
+
+    Args:
+        transform: its config, with a ``_target_``; a transform is returned as it is.
+        env: the base env.
+        place: key of the config, for messages.
 
     Raises:
-        ValueError: on a key that is no parameter, naming its ``place``.
+        ValueError: on a key that is no parameter.
     """
     if isinstance(transform, Transform):
         return transform
-    signature = inspect.signature(get_object(transform["_target_"]))
-    parameters = list(signature.parameters)
-    if not any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values()):
-        for key in (str(key) for key in transform if not str(key).startswith("_")):
-            if key not in parameters:
-                near = get_close_matches(key, parameters, n=1)
-                owner = str(transform["_target_"]).rpartition(".")[2]
-                raise ValueError(
-                    f"{place}.{key} is not a parameter of {owner} "
-                    f"({', '.join(parameters)}){f'; did you mean {near[0]}?' if near else '.'}"
-                )
-    args = (env,) if parameters[:1] == ["env"] else ()
+    parameters = inspect.signature(get_object(transform["_target_"])).parameters
+    _check_parameters(transform, parameters, place)
+    args = (env,) if next(iter(parameters), None) == "env" else ()
     config = transform if isinstance(transform, DictConfig) else dict(transform)
     return instantiate(config, *args, _convert_="all")
+
+
+def _check_parameters(
+    config: Mapping[str, Any], parameters: Mapping[str, inspect.Parameter], place: str
+) -> None:
+    """Refuses a key that is no parameter, naming the one that may be meant."""
+    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        return
+    for key in (str(key) for key in config if not str(key).startswith("_")):
+        if key not in parameters:
+            near = get_close_matches(key, parameters, n=1)
+            owner = str(config["_target_"]).rpartition(".")[2]
+            raise ValueError(
+                f"{place}.{key} is not a parameter of {owner} "
+                f"({', '.join(parameters)}){f'; did you mean {near[0]}?' if near else '.'}"
+            )

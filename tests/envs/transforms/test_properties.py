@@ -15,7 +15,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 from zfall.envs import transforms
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.simulation.model import Ball
+from zfall.robots import Ball
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"

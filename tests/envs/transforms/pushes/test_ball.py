@@ -2,12 +2,11 @@
 
 import pytest
 import torch
-from tensordict import TensorDict
 from torch.testing import assert_close
 
 from tests.envs.transforms.pushes.test_random import ACTION
 from zfall.envs.transforms.pushes import ThrownBall
-from zfall.simulation.model import Ball
+from zfall.robots import Ball
 
 BALL = Ball(mass=0.3, radius=0.04)
 
@@ -53,20 +52,6 @@ def test_the_ball_waits_out_of_reach_and_returns_there_at_a_reset(make_task):
     td["_reset"] = torch.tensor([[True], [False], [False]])
     after = env.reset(td)["ball", "position"][:, 0]
     assert (after > 10).tolist() == [True, False, False]
-
-
-def test_a_ball_thrown_again_does_not_spin(make_task):
-    env = thrown(make_task, times=[0.2, 1.0])
-    fly(env, 25)
-    simulation = env.base_env.simulation
-    assert (simulation.qvel[:, -3:].norm(dim=-1) > 0.1).all()  # from the hit or the floor
-    env.base_env._disturb(
-        TensorDict(
-            {"ball": {"launch": torch.ones(3, 1, dtype=torch.bool), "start": torch.ones(3, 6)}}
-        )
-    )
-    assert simulation.qvel[:, -3:].abs().max() == 0
-    assert_close(simulation.qvel[:, -6:-3], torch.ones(3, 3).double())
 
 
 def test_the_robot_keeps_its_mass_and_its_keys_with_a_ball(make_base):
