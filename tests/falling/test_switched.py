@@ -3,10 +3,18 @@
 import pytest
 import torch
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from zfall.falling.switched import SwitchedActor, switched_actor
+from zfall import checkpoint
+from zfall.falling.switched import (
+    SwitchedActor,
+    sensing_and_acting,
+    switched_actor,
+    switched_checkpoint,
+)
+from zfall.policies import load_policy
 
 MLP = {"_target_": "zfall.modules.actors.mlp_actor", "num_cells": [8]}
 GRU = {"_target_": "zfall.modules.actors.gru_actor", "hidden_size": 8, "num_layers": 1}
@@ -74,3 +82,52 @@ def test_who_leaves_the_way_down_to_the_script_does_nothing(env):
         action = actor(td)["action"]
     assert action[0].abs().max() > 0
     assert torch.equal(action[1:], torch.zeros(2, action.shape[1]))
+
+
+ESTIMATORS = {
+    "speed": {"_target_": "zfall.envs.transforms.estimation.NumericalVelocity", "before": "observation"},
+    "lag": {"_target_": "zfall.envs.transforms.actions.LowPass", "time_constant": 0.02},
+    "near": {"_target_": "zfall.envs.transforms.observations.CAPSNeighbours", "sigma": 0.1},
+    "drift": {"_target_": "zfall.envs.transforms.observations.ObservationNoise", "std": {"joint_velocity": 0.1}},
+}  # fmt: skip
+
+
+def test_what_stands_between_policy_and_physics_is_found_by_what_it_does(compose_config):
+    """Neighbours for a loss are no part of it, nor is the noise of training."""
+    known = compose_config("experiment=push_to_kneel", "num_envs=3").env
+    given = known.copy()
+    OmegaConf.set_struct(given, False)
+    for name, transform in ESTIMATORS.items():
+        given.transforms[name] = transform
+    given.training_only.drift = True
+    assert sensing_and_acting(given, known) == ["speed", "lag"]
+    assert sensing_and_acting(known, known) == []
+    given.transforms.air = {"_target_": "zfall.envs.transforms.windows.FeetAirTime"}
+    assert sensing_and_acting(given, known) == ["speed", "lag"]
+    given.transforms.observation["keys"] = ["feet_air_time", "joint_position"]
+    assert sensing_and_acting(given, known) == ["speed", "lag", "air"]
+
+
+def test_a_policy_and_the_script_make_a_checkpoint_that_acts(tmp_path):
+    changes = ["transforms.mode.probability=0.9", "transforms.mode.hold=0.04"]
+    content = switched_checkpoint("best", "script", changes=changes)
+    (tmp_path / "checkpoints").mkdir()
+    checkpoint.save(tmp_path / "checkpoints" / "last.pt", content)
+    policy, best = load_policy(tmp_path), load_policy("best")
+    mode = policy.config.env.transforms.mode
+    assert (mode.probability, mode.rest_speed, mode.initial) == (0.9, 0.1, "recover")
+    env = policy.env(num_envs=2)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        td = env.reset()
+        assert torch.equal(policy.actor(td.clone())["action"], best.actor(td.clone())["action"])
+        td["mode"] = torch.eye(3)[[1, 2]]
+        assert not policy.actor(td.clone())["action"].any()
+
+
+@pytest.mark.parametrize(
+    ("recover", "kneel", "message"),
+    [("nobody", "script", "recover .*nobody"), ("best", "best", "kneel .* best is not")],
+)
+def test_what_cannot_be_switched_is_refused(recover, kneel, message):
+    with pytest.raises(ValueError, match=message):
+        switched_checkpoint(recover, kneel)

@@ -1,28 +1,38 @@
-"""Two policies, of which the mode chooses one."""
+"""Two policies, of which the mode chooses one, and the checkpoint of both."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
 from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Composite
 
+from zfall import checkpoint
+from zfall.configs import compose_config
+from zfall.envs.make import build_transform, left_out
+from zfall.envs.tables import INTERFACE, changed, check_same_interface
 from zfall.modules.actors import recurrent_keys
+from zfall.policies.load import checkpoint_of
+from zfall.simulation.model import identity_of
+
+SCRIPT = "script"  # in the place of a policy that kneels: the movements alone
 
 
 class SwitchedActor(TensorDictModuleBase):
     """Acts as one policy in mode RECOVER and as another in KNEEL and STABLE.
 
-    Keys: reads ``mode`` ``(*B, 3)`` and what the two read, writes ``action`` ``(*B, J)`` and both
-    hidden states.
+    Keys: reads ``mode`` ``(*B, 3)`` and what the two read; writes ``action`` ``(*B, J)`` and the
+    hidden state of the one that has a memory.
 
     Args:
         recover: the policy of mode RECOVER.
-        kneel: that of the others.
-        begins: whether the memory of the one that kneels begins when it takes over, as in a
-            training whose episodes begin in KNEEL; else it remembers what came before.
+        kneel: the policy of the other modes.
+        begins: whether the memory of ``kneel`` is zero until it takes over, as in a training whose
+            episodes begin in KNEEL; else it remembers what came before.
 
     Raises:
         ValueError: if both have a memory: they would share its key.
@@ -67,7 +77,7 @@ def switched_actor(
 
 
 class StillActor(TensorDictModuleBase):
-    """Does nothing: as the one that kneels it leaves the way down to the script.
+    """Acts with zeros: as ``kneel`` of a ``SwitchedActor`` it leaves the way down to the script.
 
     Keys: reads ``observation`` ``(*B, D)``, writes ``action`` ``(*B, J)``, zeros.
 
@@ -91,3 +101,124 @@ class StillActor(TensorDictModuleBase):
 def still_actor(observation_spec: Composite, action_spec: Composite) -> StillActor:
     """For an action of this size."""
     return StillActor(action_spec.shape[-1])
+
+
+def switched_checkpoint(
+    recover: str, kneel: str, *, checkpoint_name: str = "last", changes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The content of a checkpoint with both policies, in the env ``push_to_kneel``.
+
+    Args:
+        recover: run folder of a policy that recovers, or the name of one that ships.
+        kneel: likewise of a policy that kneels, or ``script``.
+        checkpoint_name: of the run folders, ``last`` or ``best``.
+        changes: values of the env to replace, ``["transforms.mode.probability=0.9"]``.
+
+    Raises:
+        ValueError: if one is missing, or they do not see or do the same.
+    """
+    runs = {"recover": recover} if kneel == SCRIPT else {"recover": recover, "kneel": kneel}
+    parts = {
+        name: checkpoint.load(checkpoint_of(run, checkpoint_name, key=name))
+        for name, run in runs.items()
+    }
+    configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
+    check_same_interface(configs)
+    env_cfg = changed(_switched_env(configs, runs), changes)
+    env = instantiate(env_cfg, base_env={"num_envs": 1})
+    spec, action_spec = env.observation_spec, env.action_spec
+    actors = []
+    for name, part in parts.items():
+        actor = instantiate(configs[name].actor, spec, action_spec)
+        checkpoint.check_fits(part, identity_of(env.base_env.robot), actor, Path(runs[name]))
+        actor.load_state_dict(part["policy"])
+        actors.append(actor)
+    actor_cfg = {"_target_": "zfall.falling.switched.switched_actor", "_recursive_": False}
+    actor_cfg |= {name: OmegaConf.to_container(configs[name].actor) for name in parts}
+    if kneel == SCRIPT:
+        actor_cfg["kneel"] = {"_target_": "zfall.falling.switched.still_actor"}
+        actors.append(still_actor(spec, action_spec))
+    elif begins_kneeling(configs["kneel"].env):
+        actor_cfg["begins"] = True
+    state = SwitchedActor(*actors).state_dict()
+    config = OmegaConf.create({"env": env_cfg, "actor": actor_cfg, "num_envs": 1})
+    return {
+        "config": OmegaConf.to_yaml(config, resolve=True),
+        "robot": parts["recover"]["robot"],
+        "actor": state,
+        "policy": state,
+    }
+
+
+def _switched_env(configs: Mapping[str, DictConfig], runs: Mapping[str, str]) -> DictConfig:
+    """The env ``push_to_kneel`` with what the policies need of their own."""
+    env_cfg = compose_config(["env=push_to_kneel", "num_envs=1"]).env
+    OmegaConf.set_struct(env_cfg, False)  # changes may bring keys that it does not name
+    last = configs["kneel" if "kneel" in configs else "recover"].env
+    env_cfg.base_env = last.base_env
+    if "kneel" in configs and last.transforms.get("mode") is None:
+        raise ValueError(
+            f"kneel must be a policy that kneels, trained with modes; {runs['kneel']} is not."
+        )
+    for name, cfg in configs.items():
+        for key in sensing_and_acting(cfg.env, env_cfg):
+            raise ValueError(
+                f"{name} must need no {key} besides action and observation to be switched, "
+                f"{runs[name]} has transforms.{key}."
+            )
+    # What kneels brings these along, recovering alone needs none.
+    own = ("kneel_reference", "mode", "mirrored_falls") if "kneel" in configs else ()
+    for name in (*INTERFACE, *own):
+        env_cfg.transforms[name] = last.transforms.get(name)
+    env_cfg.transforms.mode.initial = "recover"
+    return without_exploration(env_cfg)
+
+
+def sensing_and_acting(env_cfg: DictConfig, known: DictConfig) -> list[str]:
+    """Names of transforms between policy and physics that another table does not have.
+
+    They change targets or commands on their way to the servos, or write measured values or
+    something that ``observation`` reads: estimators, lags, servo models. Those of training alone
+    do not count.
+
+    Args:
+        env_cfg: config of an env.
+        known: config of the env with the other table.
+    """
+    only = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
+    unknown = {
+        str(name): {key: value for key, value in transform.items() if key != "before"}
+        for name, transform in env_cfg.transforms.items()
+        if transform is not None and name not in {*known.transforms, *only}
+    }
+    if not unknown:
+        return []
+    base = instantiate(env_cfg.base_env, num_envs=1, _convert_="all")
+    commands = {"action", "target", "control"}
+    keys = OmegaConf.select(env_cfg, "transforms.observation.keys", default=[])
+    seen = {key for key in keys if isinstance(key, str)}
+    found = []
+    for name, config in unknown.items():
+        transform = build_transform(config, base, f"transforms.{name}")
+        acts = commands & {*(transform.in_keys_inv or ()), *(transform.out_keys_inv or ())}
+        written = transform.out_keys or ()
+        measures = any(isinstance(key, tuple) and key[0] == "measured" for key in written)
+        if acts or measures or seen & set(written):
+            found.append(name)
+    return found
+
+
+def begins_kneeling(env_cfg: DictConfig) -> bool:
+    """Whether episodes of a training begin in mode KNEEL, and so the memory of its policy."""
+    return bool(OmegaConf.select(env_cfg, "transforms.mode.initial") == "kneel")
+
+
+def without_exploration(env_cfg: DictConfig) -> DictConfig:
+    """The env's config with the bounds of rest of a policy that does not explore.
+
+    They are 0.1 m/s and rad/s, see ``ModeMachine``.
+    """
+    new = env_cfg.copy()
+    for key in ("rest_speed", "rest_joint_speed"):
+        OmegaConf.update(new, f"transforms.mode.{key}", 0.1, force_add=True)
+    return new

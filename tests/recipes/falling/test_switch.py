@@ -18,7 +18,7 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
         assert done.returncode == 0, done.stderr
     both = [f"recover={tmp_path}/recover", f"kneel={tmp_path}/kneel"]
     change = 'change=["transforms.mode.probability=0.9"]'
-    done = run("switch", *both, change, f"hydra.run.dir={tmp_path}/both")
+    done = run("falling.switch", *both, change, f"hydra.run.dir={tmp_path}/both")
     assert done.returncode == 0, done.stderr
     parts = {
         name: checkpoint.load(tmp_path / name / "checkpoints" / "last.pt")
@@ -44,7 +44,7 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
         'change=["transforms.mode.angle=0.3"]',
     )
     assert done.returncode == 0, done.stderr
-    done = run("switch", both[0], "kneel=script", f"hydra.run.dir={tmp_path}/script")
+    done = run("falling.switch", both[0], "kneel=script", f"hydra.run.dir={tmp_path}/script")
     assert done.returncode == 0, done.stderr
     config = checkpoint.load(tmp_path / "script" / "checkpoints" / "last.pt")["config"]
     assert OmegaConf.create(config).env.transforms.mode.hold == 0.2  # not the 100 s of its phase A
@@ -54,7 +54,7 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     own = [keys, *common, f"hydra.run.dir={tmp_path}/other"]
     other = run("train", "experiment=push_to_kneel_kneel", *own)
     assert other.returncode == 0, other.stderr
-    bad = run("switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
+    bad = run("falling.switch", both[0], f"kneel={tmp_path}/other", f"hydra.run.dir={tmp_path}/bad")
     assert "must have the same env.transforms.observation" in bad.stderr
     speed = "{_target_: zfall.envs.transforms.estimation.NumericalVelocity, before: observation}"
     added = [
@@ -65,7 +65,7 @@ def test_two_policies_are_switched_by_the_mode(tmp_path):
     own = [*added, *common, f"hydra.run.dir={tmp_path}/speed"]
     estimated = run("train", "experiment=push_to_kneel_kneel", *own)
     assert estimated.returncode == 0, estimated.stderr
-    bad = run("switch", both[0], f"kneel={tmp_path}/speed", f"hydra.run.dir={tmp_path}/bad")
+    bad = run("falling.switch", both[0], f"kneel={tmp_path}/speed", f"hydra.run.dir={tmp_path}/bad")
     assert "kneel must need no speed besides action and observation to be switched" in bad.stderr
-    bad = run("switch", "recover=best", "kneel=best", f"hydra.run.dir={tmp_path}/bad")
+    bad = run("falling.switch", "recover=best", "kneel=best", f"hydra.run.dir={tmp_path}/bad")
     assert "kneel must be a policy that kneels, trained with modes; best is not" in bad.stderr
