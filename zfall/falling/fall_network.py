@@ -1,4 +1,4 @@
-"""A small recurrent network that says how likely a fall is."""
+"""A small recurrent network that predicts falls."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from zfall.fingerprints import reads_files
 from zfall.modules.normalization import ObservationNormalizer
 
 _SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
-SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # what the one that ships was trained with
+SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # with which the default network was trained
 
 
 class FallNetwork(nn.Module):
@@ -21,6 +21,9 @@ class FallNetwork(nn.Module):
     A GRU reads normalised measurements; a linear layer gives the logit, which a calibration scales:
     ``p = sigmoid(slope * logit + offset)``.
 
+    Attributes:
+        trained_with: ``keys``, the names of the measurements in order, and ``control_dt`` [s].
+
     Args:
         size: length of the measurements.
         hidden_size: of the GRU.
@@ -28,7 +31,7 @@ class FallNetwork(nn.Module):
 
     slope: Tensor
     offset: Tensor
-    trained_with: dict[str, Any] | None = None  # keys in order, and control_dt [s]
+    trained_with: dict[str, Any] | None = None
 
     def __init__(self, size: int, hidden_size: int = 32):
         super().__init__()
@@ -40,7 +43,7 @@ class FallNetwork(nn.Module):
 
     @property
     def hidden_size(self) -> int:
-        """Width of the memory."""
+        """Length of the memory H."""
         return self.gru.hidden_size
 
     def logits(self, sequence: Tensor, memory: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -56,7 +59,7 @@ class FallNetwork(nn.Module):
 
 
 def fall_network_path(path: str | None) -> Path:
-    """The file that a name or path stands for, see ``load_fall_network``."""
+    """The file of a name or path, see ``load_fall_network``."""
     shipped = ASSETS / (path or "zeroth01_fall_network.pt")
     return (
         shipped if path is None or (shipped.is_file() and not Path(path).exists()) else Path(path)
@@ -64,7 +67,7 @@ def fall_network_path(path: str | None) -> Path:
 
 
 def save_fall_network(network: FallNetwork, path: Path) -> None:
-    """Writes the weights, the sizes, and what it was trained with."""
+    """Writes the weights, the sizes, and ``trained_with``."""
     sizes = {"size": network.gru.input_size, "hidden_size": network.hidden_size}
     content = {"sizes": sizes, "trained_with": network.trained_with}
     checkpoint.save(path, content | {"fall_network": network.state_dict()})
@@ -79,7 +82,7 @@ def load_fall_network(path: str | None = None) -> FallNetwork:
             ``zeroth01_fall_network.pt``, which sees proprioception alone.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if there is no such file, or it is of another kind.
     """
     content = checkpoint.load(fall_network_path(path))
     if "fall_network" not in content:
