@@ -1,9 +1,9 @@
 """From the policy's action to the servos' commands.
 
-First in the table stands what turns the action into targets: ``JointPositionTarget``, which
-``KneelReference`` may follow, or ``JointVelocityTarget``. What follows stands for the way to the
-motors and for the motors' own firmware; each takes the commands of all S physics steps from the
-one before it.
+First in the table stands what turns the action into targets, ``JointPositionTarget`` or
+``JointVelocityTarget``. A transform that moves the reference of the targets follows. The rest
+stands for the way to the motors and for the motors' own firmware; each takes the commands of all S
+physics steps from the one before it.
 """
 
 from zfall.envs.transforms.actions.actuator_delay import ActuatorDelay

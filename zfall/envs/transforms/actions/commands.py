@@ -19,8 +19,8 @@ def read_commands(tensordict: TensorDictBase, substeps: int) -> Tensor:
 def targets_before(tensordict: TensorDictBase, otherwise: Tensor) -> Tensor:
     """What the servos followed until an episode begins ``(N, J)`` [rad].
 
-    ``("start", "target")`` of ``FallingStart`` where there is one and it is a number, else
-    ``otherwise`` ``(N, J)``. Reads what a transform's ``_reset`` is given first.
+    ``("start", "target")``, if a start has written it, where it is not NaN; else ``otherwise``
+    ``(N, J)``. Reads the first argument of a transform's ``_reset``.
     """
     given = tensordict.get(("start", "target"), None)
     return otherwise if given is None else torch.where(given.isnan(), otherwise, given)
