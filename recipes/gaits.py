@@ -1,6 +1,6 @@
 """Makes the reference motions that ship with the robot, and lets it walk them without feedback.
 
-``python -m recipes.gaits`` writes the file beside the MJCF and prints the table of docs/gaits.md.
+``python -m recipes.gaits`` writes the file beside the MJCF and prints the table of docs/reference/motions.md.
 """
 
 from collections.abc import Iterable
