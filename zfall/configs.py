@@ -21,7 +21,12 @@ def config_folder() -> Path:
 
 
 def options_of(group: str) -> list[str]:
-    """Names of the yaml files of a group, ``options_of("env")``."""
+    """Names of the yaml files of a group, ``options_of("env")``.
+
+    Inside a running recipe those of folders that ``--config-dir`` adds are among them.
+    """
+    if _recipe_runs():
+        return sorted(GlobalHydra.instance().hydra.config_loader.get_group_options(group))
     return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
 
 

@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from hydra.errors import ConfigCompositionException, InstantiationException
+from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
@@ -98,6 +99,24 @@ def not_found(target: str, reason: str) -> str:
     if new := moved(target):
         reason = f"it moved to {new}"
     return f"must name something that Python can import, got {target}: {reason}."
+
+
+def object_at(path: str, key: str) -> Any:
+    """What a dotted path in a yaml names: a class or a function.
+
+    Args:
+        path: the dotted path.
+        key: where it stands, for the error.
+
+    Raises:
+        ValueError: if it leads nowhere.
+    """
+    try:
+        return get_object(path)
+    except ImportError as error:
+        flat = _flat(str(error))
+        absent = _NOT_LOADED.fullmatch(flat)
+        raise ValueError(f"{key} {not_found(*absent.groups()) if absent else flat}") from error
 
 
 def _flat(text: str) -> str:

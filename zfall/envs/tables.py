@@ -57,6 +57,19 @@ def keep(env_cfg: DictConfig, names: Sequence[str]) -> DictConfig:
     return kept
 
 
+def declaring(env_cfg: DictConfig, attribute: str) -> list[str]:
+    """Names of the transforms of an env whose class declares an attribute that is true.
+
+    ``acts_by_itself``: it moves the robot without an action. ``replaced_in_batteries``: it starts
+    or pushes, which a battery does itself.
+    """
+    return [
+        str(name)
+        for name, transform in env_cfg.transforms.items()
+        if transform and getattr(get_object(transform["_target_"]), attribute, False)
+    ]
+
+
 def check_same_interface(configs: dict[str, DictConfig]) -> None:
     """Refuses policies, by name the config of each, that do not see or do the same.
 

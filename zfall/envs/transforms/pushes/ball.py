@@ -47,6 +47,8 @@ class ThrownBall(Transform):
 
     limits = {"speed": POSITIVE, "timing": NOT_NEGATIVE}
 
+    replaced_in_batteries = True  # by pushes of a battery
+
     def __init__(
         self,
         env: HumanoidEnv,

@@ -47,6 +47,8 @@ class VelocityKick(Transform):
 
     limits = {"velocity": NOT_NEGATIVE, "timing": NOT_NEGATIVE}
 
+    replaced_in_batteries = True  # by pushes of a battery
+
     def __init__(
         self,
         env: HumanoidEnv,

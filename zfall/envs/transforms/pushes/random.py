@@ -69,6 +69,8 @@ class RandomPush(Transform):
         "duration": POSITIVE
     }
 
+    replaced_in_batteries = True  # by pushes of a battery
+
     def __init__(
         self,
         env: HumanoidEnv,

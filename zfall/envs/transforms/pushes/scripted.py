@@ -40,6 +40,8 @@ class ScriptedPush(Transform):
     duration: Tensor
     index: Tensor
 
+    replaced_in_batteries = True  # by pushes of a battery
+
     def __init__(
         self,
         env: HumanoidEnv,
