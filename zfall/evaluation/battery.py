@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from hydra.utils import get_object, instantiate
+from hydra.utils import instantiate
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
@@ -16,13 +16,15 @@ from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import left_out, make_env
-from zfall.envs.tables import robot_of
+from zfall.envs.tables import declaring, robot_of
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.randomization import DomainRandomization
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.definitions import Battery, Pushes, plan_pushes, plan_trials, those_of
+from zfall.evaluation.definitions import Battery
+from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.metrics import Outcomes
+from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials, those_of
 from zfall.modules.actors import recurrent_keys
 from zfall.simulation.turns import physics_first
 
@@ -104,17 +106,12 @@ def battery_env(
     return env, start, push
 
 
-_OURS = ("zfall.envs.transforms.starts", "zfall.envs.transforms.pushes")
-
-
 def starts_and_pushes(cfg: DictConfig) -> list[str]:
-    """Names of the transforms of an env in whose place a battery has its own."""
-    table = {name: transform for name, transform in cfg.transforms.items() if transform}
-    return [
-        str(name)
-        for name, transform in table.items()
-        if get_object(transform["_target_"]).__module__.startswith(_OURS)
-    ]
+    """Names of the transforms of an env in whose place a battery has its own.
+
+    Their classes declare ``replaced_in_batteries = True``.
+    """
+    return declaring(cfg, "replaced_in_batteries")
 
 
 def _check_physics(battery: Battery, env: TransformedEnv) -> None:
@@ -186,7 +183,7 @@ def run_battery(
         seed: of the battery.
         num_envs: worlds that run together, at most; rounded up to whole blocks.
         servos: whether the servos act at all.
-        progress: is told the number of control steps done and their total.
+        progress: called with the number of control steps done and their total.
         plan: the trials, if not those of ``plan_trials``; their forces follow from the impulses.
         only: numbers of the trials to run; all if ``None``.
         finished: trials with outcomes that an earlier call had, not to be run again.
@@ -231,27 +228,15 @@ def run_battery(
                 break
             base.simulation.step_only(~known)
         table = outcomes.table().iloc[: len(chunk)]
-        if battery.interval is not None:
-            table["withstood"] = withstood(pushes[chunk.index.to_numpy()].time, outcomes)
+        own = pushes[chunk.index.to_numpy()]
+        for name, column in kind_of(battery).columns(own, outcomes).items():
+            table[name] = column
         drawn = {"link_mass": "mass_factor", "payload": "load_kg"}
         for name in drawn.keys() & params.keys():
             table[drawn[name]] = params[name].amax(1)[: len(chunk)].double().numpy()
         results.append(pd.concat([chunk.reset_index(drop=True), table], axis=1))
         keep(pd.concat(results, ignore_index=True))
     return pd.concat(results, ignore_index=True).sort_values("trial", ignore_index=True)
-
-
-def withstood(time: Tensor, outcomes: Outcomes) -> NDArray[np.int64]:
-    """Pushes in a row that each trial withstood ``(K,)``: those begun, but the one it fell after.
-
-    Args:
-        time: when the pushes begin ``(K, E)`` [s].
-        outcomes: of at least K worlds.
-    """
-    fell = outcomes.fell[: len(time)]
-    end = outcomes.fall_time[: len(time)].double().nan_to_num(outcomes.battery.end_time)
-    begun = (time < end[:, None] - 1e-3).sum(1)  # a step is longer, rounding shorter
-    return (begun - fell.long()).clamp_min(0).numpy()
 
 
 def play(

@@ -1,8 +1,8 @@
-"""What a battery tests: a run's policy in its env, or a baseline; and where its trials are kept."""
+"""What a battery tests: a policy in its env, or a baseline; and how its trials are kept on disk."""
 
 import json
-import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,49 +10,35 @@ import pandas as pd
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from zfall import checkpoint
 from zfall.configs import compose_config
-from zfall.envs.tables import changed, env_digest, keep, robot_of
+from zfall.envs import tables
+from zfall.envs.tables import changed, env_digest, robot_of
+from zfall.evaluation.baselines import baseline_names, load_baseline, passive
 from zfall.evaluation.battery import starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
 from zfall.fingerprints import weights_digest
-from zfall.policies.load import checkpoint_of, policy_of, shipped
+from zfall.policies.load import Policy, checkpoint_of, load_policy
 from zfall.robots import Robot
-
-SCRIPTED = ("scripted_kneel", "scripted_catch")  # act by themselves in an env with modes
-BASELINES = ("pose_hold", "limp", *SCRIPTED)
 
 
 @dataclass(frozen=True)
-class Tested:
-    """A policy or baseline under test.
+class Candidate:
+    """A policy or baseline that is put to a battery.
 
-    Args:
+    Attributes:
         name: a run folder, or the name of a baseline or of a policy that ships.
         env_cfg: config of its env.
-        actor: the policy; ``None`` for a baseline.
-        folder: where its results go.
-        weights: digest of the policy.
+        actor: the policy; ``None`` of a baseline.
+        servos: whether the servos act.
+        kept: what of the env's ``training_only`` is left on.
     """
 
     name: str
     env_cfg: DictConfig
     actor: torch.nn.Module | None
-    folder: Path
-    weights: str
-
-    @classmethod
-    def load(cls, cfg: DictConfig, name: str, output: Path, setting: str) -> "Tested":
-        """From its folder, or for a baseline by its name; ``setting`` names its results."""
-        env_cfg, actor = load_run(cfg, name)
-        for kept in set(cfg.keep) & set(starts_and_pushes(env_cfg)):
-            raise ValueError(f"keep must not name {kept}: a battery has its own starts and pushes.")
-        place = Path(name)
-        if name in BASELINES or shipped(name).exists():
-            place = output / name if cfg.runs is not None else output
-        folder = place / "evaluation" / setting
-        return cls(name, keep(env_cfg, cfg.keep), actor, folder, weights_digest(actor))
+    servos: bool = True
+    kept: tuple[str, ...] = ()
 
     @property
     def robot(self) -> Robot:
@@ -60,100 +46,141 @@ class Tested:
         return robot_of(self.env_cfg)
 
     @property
-    def servos(self) -> bool:
-        """Whether the servos act."""
-        return self.name != "limp"
+    def label(self) -> str:
+        """The last part of its name."""
+        return Path(self.name).name
 
-    def asked(self, battery: Battery, cfg: DictConfig) -> dict[str, Any]:
-        """All that the outcomes follow from: results of the same are the same."""
-        asked = {
+    def still(self) -> "Candidate":
+        """Baseline ``pose_hold`` in the same env."""
+        return replace(self, name="pose_hold", env_cfg=passive(self.env_cfg), actor=None)
+
+    def keep(self, names: Sequence[str]) -> "Candidate":
+        """The same with some of what batteries leave out left on: noise, delays.
+
+        Raises:
+            ValueError: on a name that is not left out, or of a start or push.
+        """
+        for name in set(names) & set(starts_and_pushes(self.env_cfg)):
+            raise ValueError(f"keep must not name {name}: a battery has its own starts and pushes.")
+        return replace(self, env_cfg=tables.keep(self.env_cfg, names), kept=tuple(names))
+
+    def conditions(self, battery: Battery, *, seed: int, num_envs: int) -> dict[str, Any]:
+        """All that the outcomes follow from: results under the same conditions are the same."""
+        conditions = {
             "baseline": self.name if self.actor is None else None,
-            "weights": self.weights,
-            "seed": cfg.seed,
+            "weights": weights_digest(self.actor),
+            "seed": seed,
             "measures": MEASURES,
-            "keep": list(cfg.keep),
+            "keep": list(self.kept),
             "definition": json.loads(json.dumps(asdict(battery))),
             "env": OmegaConf.to_yaml(self.env_cfg, resolve=True),
             "world": env_digest(self.env_cfg),
         }
-        if cfg.keep:  # noise and delays are drawn for all worlds that run together
-            asked["num_envs"] = cfg.num_envs
-        return asked
+        if self.kept:  # noise and delays are drawn for all worlds that run together
+            conditions["num_envs"] = num_envs
+        return conditions
 
 
-def load_run(cfg: DictConfig, run: str) -> tuple[DictConfig, torch.nn.Module | None]:
-    """The env's config, and the policy; none for a baseline.
+def load_candidate(
+    run: str | Policy,
+    *,
+    checkpoint: str = "last",
+    change: Sequence[str] = (),
+    task: DictConfig | str = "push_recovery",
+) -> Candidate:
+    """A policy, or a baseline in an env.
+
+    Args:
+        run: a policy, a run folder, or the name of a policy that ships or of a baseline.
+        checkpoint: of a run folder, ``last`` or ``best``.
+        change: values of the env to replace.
+        task: the env of a baseline: its config, or its name in ``recipes/env``.
 
     Raises:
-        ValueError: if the folder holds no checkpoint, or one that does not fit.
+        ValueError: if there is none, its checkpoint does not fit, or the baseline cannot act in
+            the env.
     """
-    if run in BASELINES:
-        given = cfg.get("env") or (
-            "push_to_kneel" if cfg.get("battery") == "kneel" else "push_recovery"
+    if isinstance(run, Policy):
+        return Candidate(run.name, changed(run.config.env, list(change)), run.actor)
+    if run in (names := baseline_names()):
+        baseline = load_baseline(run)
+        env_cfg = compose_config([f"env={task}", "num_envs=64"]).env if _is_name(task) else task
+        world = baseline.world(changed(env_cfg, list(change)))
+        return Candidate(run, world, None, servos=baseline.servos)
+    checkpoint_of(run, checkpoint, others=names)  # names the baselines, should there be none
+    policy = load_policy(run, checkpoint=checkpoint, changes=change)
+    return Candidate(run, policy.config.env, policy.actor)
+
+
+def load_candidates(
+    runs: Sequence[str | Policy],
+    *,
+    task: DictConfig | str | None = None,
+    default_task: str = "push_recovery",
+    checkpoint: str = "last",
+    change: Sequence[str] = (),
+    keep: Sequence[str] = (),
+) -> list[Candidate]:
+    """Policies, each in its own world, and baselines.
+
+    A baseline meets the world of the first policy among them in which it can act; if there is
+    none, ``default_task``.
+
+    Args:
+        runs: as ``load_candidate`` takes them.
+        task: the env of the baselines, if there are no others.
+        default_task: theirs if none is given.
+        checkpoint: of run folders.
+        change: values of all envs to replace.
+        keep: what of each env's ``training_only`` to leave on.
+
+    Raises:
+        ValueError: as ``load_candidate``; if an env is given for a policy; on a wrong ``keep``.
+    """
+    known = baseline_names()
+    own = [run for run in runs if isinstance(run, Policy) or run not in known]
+    if own and task is not None:
+        raise ValueError(
+            f"env must be given for baselines alone, {own[0]} is tested in its own world "
+            "(change=[...] replaces values of it)."
         )
-        if isinstance(given, str):
-            given = compose_config([f"env={given}", "num_envs=64"]).env
-        given = changed(given, cfg.get("change", []))
-        return scripted(given, run) if run in SCRIPTED else held(given), None
-    path = checkpoint_of(run, cfg.checkpoint, others=BASELINES)
-    content = checkpoint.load(path)
-    env_cfg = changed(OmegaConf.create(content["config"]).env, cfg.get("change", []))
-    return env_cfg, policy_of(content, env_cfg, path)
+    policies = [load_candidate(run, checkpoint=checkpoint, change=change) for run in own]
+    remaining = iter(policies)
+    candidates = []
+    for run in runs:
+        if isinstance(run, Policy) or run not in known:
+            candidates.append(next(remaining))
+            continue
+        fits = load_baseline(run).fits
+        worlds = [policy.env_cfg for policy in policies if fits(policy.env_cfg)]
+        world = task if task is not None else next(iter(worlds), default_task)
+        candidates.append(load_candidate(run, change=change, task=world))
+    return [candidate.keep(keep) for candidate in candidates]
 
 
-def scripted(env_cfg: DictConfig, run: str) -> DictConfig:
-    """The env's config for a baseline that kneels by itself.
-
-    ``scripted_kneel`` goes from the stand to the pose ``kneel``, whatever the fall;
-    ``scripted_catch`` through the movements that ``recipes.falling.catches`` found.
-
-    Raises:
-        ValueError: if the env has no modes.
-    """
-    if env_cfg.transforms.get("kneel_reference") is None:
-        raise ValueError(f"{run} needs an env with modes: env=push_to_kneel.")
-    new = without_exploration(env_cfg)
-    if run == "scripted_kneel":  # nothing is fast enough for another movement
-        OmegaConf.update(new, "transforms.kneel_reference.moving", math.inf, force_add=True)
-    return new
+def _is_name(task: DictConfig | str) -> bool:
+    return isinstance(task, str)
 
 
-def without_exploration(env_cfg: DictConfig) -> DictConfig:
-    """The env's config with modes to which rest is rest, not what exploration leaves of it."""
-    new = env_cfg.copy()
-    for key in ("rest_speed", "rest_joint_speed"):  # [m/s and rad/s]
-        OmegaConf.update(new, f"transforms.mode.{key}", 0.1, force_add=True)
-    return new
-
-
-def held(env_cfg: DictConfig) -> DictConfig:
-    """The env's config for a baseline that does nothing: with modes it would kneel by script."""
-    if env_cfg.transforms.get("kneel_reference") is None:
-        return env_cfg
-    alone = ["transforms.kneel_reference=null"]
-    if env_cfg.transforms.get("mirrored_falls") is not None:  # it works with the one above
-        alone += ["transforms.mirrored_falls=null"]
-    return changed(env_cfg, alone)
-
-
-def begins_kneeling(env_cfg: DictConfig) -> bool:
-    """Whether episodes of a training begin in mode KNEEL, and so the memory of its policy."""
-    return bool(OmegaConf.select(env_cfg, "transforms.mode.initial") == "kneel")
-
-
-def write_trials(path: Path, trials: pd.DataFrame, asked: dict[str, Any]) -> None:
-    """Writes trials, and beside them what was asked for; never half a row."""
+def write_trials(path: Path, trials: pd.DataFrame, conditions: dict[str, Any]) -> None:
+    """Writes trials, and their conditions into a JSON file of the same name; never half a row."""
     given = path.with_suffix(".json")
     given.unlink(missing_ok=True)  # trials without it count for nothing
     trials.to_csv(path.with_suffix(".tmp"), index=False)
     path.with_suffix(".tmp").replace(path)
-    path.with_suffix(".tmp").write_text(json.dumps(asked))
+    path.with_suffix(".tmp").write_text(json.dumps(conditions))
     path.with_suffix(".tmp").replace(given)
 
 
-def read_trials(path: Path, asked: dict[str, Any]) -> pd.DataFrame | None:
-    """Trials that were written for the same; ``None`` if there are none."""
+def read_trials(path: Path, conditions: dict[str, Any]) -> pd.DataFrame | None:
+    """Trials that were written under the same conditions; ``None`` if there are none."""
     given = path.with_suffix(".json")
-    if not (path.exists() and given.exists()) or json.loads(given.read_text()) != asked:
+    if not (path.exists() and given.exists()) or json.loads(given.read_text()) != conditions:
         return None
     return pd.read_csv(path)
+
+
+def remove_trials(path: Path) -> None:
+    """Removes trials and their conditions, if they are there."""
+    path.unlink(missing_ok=True)
+    path.with_suffix(".json").unlink(missing_ok=True)

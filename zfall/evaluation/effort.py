@@ -1,10 +1,13 @@
 """What a recovery costs: torques, energy, and how roughly the joints are commanded."""
 
+from typing import ClassVar
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.evaluation.followers import Ended, Moment
 
 SATURATED = 0.95  # share of the largest torque from which a servo counts as saturated
 
@@ -21,6 +24,8 @@ class Effort:
         env: the base env.
     """
 
+    outcomes: ClassVar[tuple[str, ...]] = ()
+
     def __init__(self, env: HumanoidEnv):
         n = env.num_envs
         model = env.simulation.model
@@ -32,9 +37,12 @@ class Effort:
         self.saturated, self.jerk = torch.zeros(n), torch.zeros(n)
         self._targets: list[Tensor] = []
 
-    def update(self, td: TensorDictBase, counted: Tensor) -> None:
-        """Takes in a control step of the worlds ``counted`` ``(N,)`` bool."""
-        torque, share = td["joint_torque"], counted.float()
+    def before(self, td: TensorDictBase, now: Moment) -> None:
+        """Nothing counts before the push."""
+
+    def update(self, td: TensorDictBase, now: Moment) -> None:
+        """Takes in a control step."""
+        torque, share = td["joint_torque"], now.upto_fall.float()
         self.steps += share
         self.torque += share * torque.square().mean(-1)
         power = (torque * td["joint_velocity"]).abs().sum(-1)
@@ -47,8 +55,8 @@ class Effort:
             self.jerk += share * jerk.square().mean(-1)
             self.jerks += share
 
-    def table(self) -> dict[str, Tensor]:
-        """Columns ``(N,)``; not a number for a trial that was over before the push."""
+    def table(self, ended: Ended) -> dict[str, Tensor]:
+        """Columns ``(N,)``; NaN for a trial that was over before the push."""
         return {
             "joint_torque_rms": (self.torque / self.steps).sqrt(),
             "energy": torch.where(self.steps > 0, self.energy, torch.nan),

@@ -18,8 +18,9 @@ from omegaconf import DictConfig
 from zfall.envs.dm_task import TableTask
 from zfall.envs.tables import robot_of
 from zfall.evaluation.battery import arrange, battery_env
-from zfall.evaluation.definitions import Battery, plan_pushes, plan_trials, those_of
+from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import Outcomes
+from zfall.evaluation.plans import plan_pushes, plan_trials, those_of
 from zfall.evaluation.statistics import summarize
 from zfall.simulation.dm_control import Physics
 
@@ -83,7 +84,7 @@ def run_exported(
         policy: what is exported.
         seed: of the battery.
         only: numbers of the trials to run; all if ``None``.
-        progress: is told the number of trials done and their total.
+        progress: called with the number of trials done and their total.
 
     Returns:
         One row per trial, as ``run_battery`` gives it; and ``target_error`` [rad], the largest

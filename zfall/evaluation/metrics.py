@@ -1,17 +1,18 @@
 """What a trial is judged by, measured on true quantities."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.falls import body_contact
 from zfall.evaluation.definitions import Battery
-from zfall.evaluation.effort import Effort
-from zfall.evaluation.strategies import Strategies
-from zfall.falling.kneeling import Kneeling
+from zfall.evaluation.followers import Ended, Moment, followers_of
 from zfall.rotations import tilt
 
 MEASURES = 3  # version of what the columns mean: raise it when that changes
@@ -49,8 +50,7 @@ class Outcomes:
     over physics steps, until the trial ends or for the battery's ``aftermath`` after the first
     touch; then a trial is ``settled``: nothing that follows counts. ``target_smoothness`` is the
     ``spectral_smoothness`` of the joint targets [rad] in the last two seconds before the push.
-    ``Effort`` and ``Strategies`` count from the push until the first touch, ``Kneeling`` until
-    the trial is settled.
+    The battery's ``measures`` add their columns.
 
     Args:
         env: the base env.
@@ -74,7 +74,7 @@ class Outcomes:
         self.peak_tilt = torch.zeros(n)
         self.upright = torch.zeros(n, dtype=torch.bool)
         self._targets: list[Tensor] = []
-        self.effort, self.strategies, self.kneeling = Effort(env), Strategies(env), Kneeling(env)
+        self.followers = [follower(env) for follower in followers_of(battery)]
 
     def update(self, td: TensorDictBase) -> None:
         """Takes in what followed a control step."""
@@ -91,15 +91,15 @@ class Outcomes:
             self.settled = self.fell & (since_push >= self.time_to_fall + self.battery.aftermath)
         if -STANDING + 1e-6 < since_push < 1e-6:
             self._targets.append(td["target"].clone())
+        counted = ~self.settled
+        now = Moment(since_push, counted, touched, first, counted & (~self.fell | first))
         if since_push < 1e-6:
-            self.strategies.before(td)
-            self.kneeling.before(td, touched)
+            for follower in self.followers:
+                follower.before(td, now)
         else:
-            counted = ~self.settled
             self.counted |= counted
-            self.effort.update(td, counted & (~self.fell | first))
-            self.strategies.update(td, counted & (~self.fell | first), since_push)
-            self.kneeling.update(td, counted, first, since_push)
+            for follower in self.followers:
+                follower.update(td, now)
             for name, value in (
                 ("peak_base_acceleration", td["base_acceleration_peak"].squeeze(-1)),
                 ("peak_contact_force", td["contact_force_peak"]),
@@ -112,30 +112,39 @@ class Outcomes:
 
     @property
     def fall_time(self) -> Tensor:
-        """When each trial fell ``(N,)`` [s since it began]; not a number if it did not."""
+        """When each trial fell ``(N,)`` [s since it began]; NaN if it did not."""
         return self.time_to_fall + self.battery.push_time
 
     def table(self) -> pd.DataFrame:
         """One row per trial."""
-        body_peak = self.peak_contact_force[:, :-2]  # the feet come last
+        before_push = self.fell & ~self.counted
+        ended = Ended(self.fell, self.diverged, before_push)
+        measured = {
+            name: value.numpy()
+            for follower in self.followers
+            for name, value in follower.table(ended).items()
+        }
+        outcomes = [name for follower in self.followers for name in follower.outcomes]
+        peaks = {
+            "peak_tilt": self.peak_tilt,
+            "peak_base_acceleration": self.peak_base_acceleration,
+            "peak_contact_force": self.peak_contact_force[:, :-2].amax(-1),  # the feet come last
+            "peak_joint_torque": self.peak_joint_torque,
+        }
+        by_region = {
+            f"peak_contact_force/{region}": self.peak_contact_force[:, index]
+            for index, region in enumerate(self.regions)
+        }
         columns = {
             "recovered": (self.upright & ~self.fell).numpy(),
             "fell": self.fell.numpy(),
-            "kneeled": (self.kneeling.kneeled & self.fell & ~self.diverged).numpy(),
+            **{name: measured.pop(name) for name in outcomes},
             "time_to_fall_s": self.time_to_fall.numpy(),
-            "peak_tilt": self.peak_tilt.numpy(),
-            "peak_base_acceleration": self.peak_base_acceleration.numpy(),
-            "peak_contact_force": body_peak.amax(-1).numpy(),
-            "peak_joint_torque": self.peak_joint_torque.numpy(),
+            **_unless(before_push, peaks),
             "target_smoothness": self._smoothness().numpy(),
+            **measured,
+            **_unless(before_push, by_region),
         }
-        measured = self.strategies.table(self.fell) | self.effort.table() | self.kneeling.table()
-        columns |= {name: value.numpy() for name, value in measured.items()}
-        for index, region in enumerate(self.regions):
-            columns[f"peak_contact_force/{region}"] = self.peak_contact_force[:, index].numpy()
-        never = (self.fell & ~self.counted).numpy()  # over before the push
-        for name in (name for name in columns if name.startswith(("peak_", "contact_impulse"))):
-            columns[name] = np.where(never, np.nan, columns[name])
         # In float64 a number read back from a file is the number that was written.
         return pd.DataFrame(
             {key: x.astype(float) if x.dtype == "float32" else x for key, x in columns.items()}
@@ -147,3 +156,8 @@ class Outcomes:
         smoothness = spectral_smoothness(torch.stack(self._targets, 1), self.control_dt)
         # What lies on the floor before the push does not stand smoothly.
         return torch.where(self.time_to_fall < 1e-6, torch.nan, smoothness)
+
+
+def _unless(before_push: Tensor, peaks: Mapping[str, Tensor]) -> dict[str, NDArray[np.generic]]:
+    """Peaks ``(N,)``; NaN of trials that were over before the push."""
+    return {name: torch.where(before_push, torch.nan, peak).numpy() for name, peak in peaks.items()}

@@ -2,29 +2,27 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
 from omegaconf import DictConfig
-from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 
 from zfall.commands import shell_line, shown_path
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.tables import robot_of
+from zfall.evaluation.baselines import passive
 from zfall.evaluation.battery import battery_env, play, run_battery
-from zfall.evaluation.candidate import held
 from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.kinds.planar import success_by_size
 from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.report import write_report
 from zfall.evaluation.statistics import summarize
-from zfall.evaluation.summaries import write_summary
 from zfall.evaluation.video import film
+from zfall.evaluation.writers import write_summary
 
 SIDES = {
     "from behind": 0.0,
@@ -52,7 +50,7 @@ def show(
         before = run_battery(battery, cfg.env, actor)
         actor.load_state_dict(trained)
         after = run_battery(battery, cfg.env, actor)
-        baseline = run_battery(battery, held(cfg.env), None)
+        baseline = run_battery(battery, passive(cfg.env), None)
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
     summaries = {
@@ -65,7 +63,7 @@ def show(
     title = "share recovered, short planar"
     lines = references(robot_of(cfg.env), battery.durations[0])
     success_map(after, plots / "planar.png", title=title, baseline=baseline, lines=lines)
-    console.print(table(summaries))
+    console.print(success_by_size(summaries))
     if cfg.showcase.video:
         with console.status("video"):
             video(battery, cfg.env, actor, folder / "video.mp4", console)
@@ -78,36 +76,11 @@ def show(
     console.print(f"next: {line}", soft_wrap=True)
 
 
-def table(summaries: dict[str, dict[str, Any]]) -> Table:
-    """Success by impulse and the headline figures, one column per policy."""
-    first = next(iter(summaries.values()))
-    duration = first["definition"]["duration"]
-    title = f"planar, {first['n']} trials each: share recovered, 95 % interval"
-    out = Table(title=title, box=SIMPLE)
-    out.add_column(f"push I (N for {duration:g} s)")
-    for name in summaries:
-        out.add_column(name, justify="right")
-    for key in first["success"]:
-        cells = [
-            f"{100 * s['success'][key]:3.0f} %  [{100 * s['success_low'][key]:.0f}, "
-            f"{100 * s['success_high'][key]:.0f}]"
-            for s in summaries.values()
-        ]
-        out.add_row(f"{key} ({first['force_n'][key]:.0f} N)", *cells)
-    label = (
-        "mean I50" if len(first["success"]) > 9 else f"mean I50 (of {', '.join(first['success'])})"
-    )
-    out.add_row(label, *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
-    falls = (f"{s['control_falls']} of {s['control_n']}" for s in summaries.values())
-    out.add_row("falls without a push", *falls)
-    return out
-
-
 def video(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
 ) -> None:
     """Films a push of I = 0.4 from four sides, the policy above ``pose_hold``."""
-    still = record(battery, held(env_cfg), None)
+    still = record(battery, passive(env_cfg), None)
     rows = {"trained": record(battery, env_cfg, actor), "pose_hold": still}
     states = {name: qpos for name, (qpos, _) in rows.items()}
     env, _, _ = battery_env(battery, env_cfg, 64)

@@ -1,63 +1,120 @@
 """One trial of a battery alone: its row, its traces, its film."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from omegaconf import DictConfig
 from rich.console import Console
 from tensordict import TensorDictBase
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, run_battery
-from zfall.evaluation.candidate import Tested
+from zfall.evaluation.candidate import Candidate
 from zfall.evaluation.definitions import Battery
+from zfall.evaluation.followers import outcome_names
+from zfall.evaluation.plans import Pushes, plan_pushes
 from zfall.evaluation.plots import trace_plot
 from zfall.evaluation.results import labels
 from zfall.evaluation.video import film
 
 
+@dataclass(frozen=True)
+class Replay:
+    """A trial run again.
+
+    Attributes:
+        row: of ``trials.csv``.
+        traces: ``time_s`` [s], and ``target``, ``position`` [rad] and ``torque`` [N m] of each
+            joint, as ``target/JOINT``, after every control step.
+        pushes: begin and end of each push [s].
+        states: positions ``(T, 1, nq)`` in MuJoCo's order.
+        forces: mean force of the push over each step ``(T, 1, 3)`` [N; world].
+        env: its base env.
+    """
+
+    row: dict[Hashable, Any]
+    traces: pd.DataFrame
+    pushes: list[tuple[float, float]]
+    states: NDArray[np.float64]
+    forces: NDArray[np.float32]
+    env: HumanoidEnv
+
+
 def show_trial(
-    battery: Battery, tested: list[Tested], cfg: DictConfig, console: Console, folder: Path
+    battery: Battery,
+    trial: int,
+    candidates: Sequence[Candidate],
+    folders: Mapping[str, Path],
+    folder: Path,
+    console: Console,
+    *,
+    seed: int,
+    joint: str,
+    video: bool,
 ) -> None:
-    """Runs a trial again with each policy, prints its rows, draws traces of ``cfg.joint``.
+    """Runs a trial again with each policy, prints its rows, draws traces of a joint.
 
     Writes ``trial_N.csv`` (targets, positions and torques of all joints, with ``video`` also
     ``trial_N.mp4``) into the folder of each policy, ``trial_N_JOINT.{png,pdf}`` of all into
     ``folder``.
+
+    Args:
+        battery: the definition.
+        trial: its number.
+        candidates: policies.
+        folders: by name of a candidate, where its files go.
+        folder: where the figure goes.
+        console: to print on.
+        seed: of the battery.
+        joint: which is drawn.
+        video: whether it is filmed.
+
+    Raises:
+        ValueError: if there is no such trial or joint.
     """
     traces: dict[str, pd.DataFrame] = {}
     pushes: list[tuple[float, float]] = []
-    for each in tested:
-        row, rows, pushed = run_trial(battery, each, cfg, console)
-        joint = str(cfg.joint)
+    for each in candidates:
+        replay = run_trial(battery, each, trial, seed=seed, joint=joint)
+        place = folders[each.name]
+        place.mkdir(parents=True, exist_ok=True)
+        what = sentence(replay.row, outcome_names(battery))
+        console.print(f"trial {trial} of {battery.name}, {each.name}: {what}", soft_wrap=True)
+        for key, value in replay.row.items():
+            shown = f"{value:.4g}" if isinstance(value, float) else value
+            console.print(f"  {key}: {shown}")
+        replay.traces.to_csv(place / f"trial_{trial}.csv", index=False)
+        if video:
+            _film(replay, each.label, place / f"trial_{trial}.mp4", console)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
-        traces[each.name] = rows.rename(columns=renamed)
-        if battery.interval is not None:  # a row of them, at the resolution of control steps
-            pushes += pushed
-        elif row["impulse"] > 0:
-            pushes = [(battery.push_time, battery.push_time + row["duration_s"])]
+        traces[each.name] = replay.traces.rename(columns=renamed)
+        pushes += [push for push in replay.pushes if push not in pushes]
     traces = dict(zip(labels(list(traces)), traces.values(), strict=True))
     for ending in ("png", "pdf"):
-        path = folder / f"trial_{cfg.trial}_{joint}.{ending}"
+        path = folder / f"trial_{trial}_{joint}.{ending}"
         trace_plot(traces, path, joint=joint, pushes=pushes)
         console.print(f"wrote {path}", soft_wrap=True)
 
 
 def run_trial(
-    battery: Battery, tested: Tested, cfg: DictConfig, console: Console
-) -> tuple[dict[Hashable, Any], pd.DataFrame, list[tuple[float, float]]]:
-    """A trial's row, what its joints did in each control step, and when it was pushed [s]."""
+    battery: Battery, candidate: Candidate, trial: int, *, seed: int, joint: str
+) -> Replay:
+    """Runs a trial alone; it is the same as among the others.
+
+    Raises:
+        ValueError: if there is no such trial or joint.
+    """
     states: list[NDArray[np.float64]] = []
     forces: list[NDArray[np.float32]] = []
     signals: list[NDArray[np.float32]] = []
-    env, _, _ = battery_env(battery, tested.env_cfg, 1)
-    joints = env.base_env.robot.joints
-    if cfg.joint not in joints:
-        raise ValueError(f"joint must be one of {', '.join(joints)}, got {cfg.joint}.")
+    env = battery_env(battery, candidate.env_cfg, 1)[0].base_env
+    joints = env.robot.joints
+    if joint not in joints:
+        raise ValueError(f"joint must be one of {', '.join(joints)}, got {joint}.")
 
     def watch(base: HumanoidEnv, td: TensorDictBase) -> None:
         states.append(base.simulation.qpos[:1].numpy().copy())
@@ -67,45 +124,47 @@ def run_trial(
 
     (row,) = run_battery(
         battery,
-        tested.env_cfg,
-        tested.actor,
-        seed=cfg.seed,
-        servos=tested.servos,
-        only=[cfg.trial],
+        candidate.env_cfg,
+        candidate.actor,
+        seed=seed,
+        servos=candidate.servos,
+        only=[trial],
         watch=watch,
     ).to_dict("records")
-    tested.folder.mkdir(parents=True, exist_ok=True)
-    console.print(
-        f"trial {cfg.trial} of {battery.name}, {tested.name}: {told(row)}", soft_wrap=True
-    )
-    for key, value in row.items():
-        console.print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
     names = [f"{key}/{joint}" for key in ("target", "position", "torque") for joint in joints]
-    rows = pd.DataFrame(np.stack(signals), columns=names)
-    rows.insert(0, "time_s", env.base_env.control_dt * (1 + np.arange(len(rows))))
-    rows.to_csv(tested.folder / f"trial_{cfg.trial}.csv", index=False)
-    if cfg.video:
-        path = tested.folder / f"trial_{cfg.trial}.mp4"
-        label = f"I = {row['impulse']:.2g}"
-        if np.isfinite(row["direction_rad"]):
-            label += f", {np.degrees(row['direction_rad']):.0f} degrees"
-        shown = {Path(tested.name).name: np.stack(states)}
-        dt = env.base_env.control_dt
-        try:
-            film(env.base_env.simulation.model, shown, [label], np.stack(forces), path, dt=dt)
-            console.print(f"wrote {path}", soft_wrap=True)
-        except RuntimeError as error:
-            console.print(f"no video: {error}")
-    acting = np.concatenate(forces).reshape(len(forces), -1).any(1).astype(int)
-    edges = np.flatnonzero(np.diff(acting, prepend=0, append=0)) * env.base_env.control_dt
-    return row, rows, list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    traces = pd.DataFrame(np.stack(signals), columns=names)
+    traces.insert(0, "time_s", env.control_dt * (1 + np.arange(len(traces))))
+    pushes = _times(plan_pushes(battery, pd.DataFrame([row])), traces["time_s"].iloc[-1])
+    return Replay(row, traces, pushes, np.stack(states), np.stack(forces), env)
 
 
-def told(row: dict[Hashable, Any]) -> str:
-    """A trial in one line: how it was pushed, and what came of it."""
-    outcome = next(
-        (name for name in ("recovered", "kneeled", "fell") if row.get(name)), "stands bent"
-    )
+def _times(pushes: Pushes, end: float) -> list[tuple[float, float]]:
+    """Begin and end of each push of one trial that begins before its end [s]."""
+    real = (pushes.time[0] < end) & (pushes.force[0] != 0).any(-1)
+    begin = pushes.time[0][real]
+    return list(zip(begin.tolist(), (begin + pushes.duration[0][real]).tolist(), strict=True))
+
+
+def _film(replay: Replay, label: str, path: Path, console: Console) -> None:
+    column = f"I = {replay.row['impulse']:.2g}"
+    if np.isfinite(replay.row["direction_rad"]):
+        column += f", {np.degrees(replay.row['direction_rad']):.0f} degrees"
+    model, dt = replay.env.simulation.model, replay.env.control_dt
+    try:
+        film(model, {label: replay.states}, [column], replay.forces, path, dt=dt)
+        console.print(f"wrote {path}", soft_wrap=True)
+    except RuntimeError as error:
+        console.print(f"no video: {error}")
+
+
+def sentence(row: Mapping[Hashable, Any], outcomes: Sequence[str]) -> str:
+    """A trial in one line: how it was pushed, and what came of it.
+
+    Args:
+        row: of ``trials.csv``.
+        outcomes: columns that say how it ended; the first true one is the word for it.
+    """
+    outcome = next((name for name in outcomes if row.get(name)), "stands bent")
     if row["impulse"] == 0:
         return f"not pushed, {outcome}"
     push = f"I = {row['impulse']:.2f}, {row['force_n']:.1f} N for {row['duration_s']:g} s"

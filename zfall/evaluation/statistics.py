@@ -28,8 +28,8 @@ def largest_withstood(impulses: np.ndarray, rates: np.ndarray, share: float) -> 
     Returns:
         One of ``impulses``, or 0 if already the smallest fails.
     """
-    held = np.logical_and.accumulate(rates >= share - 1e-9)
-    return float(impulses[held][-1]) if held.any() else 0.0
+    good = np.logical_and.accumulate(rates >= share - 1e-9)
+    return float(impulses[good][-1]) if good.any() else 0.0
 
 
 def success_table(trials: pd.DataFrame) -> pd.DataFrame:
@@ -63,14 +63,6 @@ def withstood_table(trials: pd.DataFrame) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
-
-
-def summarize_spherical(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
-    """The summary of battery ``spherical``: its ``withstood_table`` and the control arm."""
-    return head(battery, trials) | {
-        "withstood": withstood_table(trials).to_dict("records"),
-        "withstood_mean": float(trials["withstood"][trials["impulse"] > 0].mean()),
-    }
 
 
 def head(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """How a push was met: steps, displacement, time, and the strategies of Duburcq et al., table I."""
 
+from typing import ClassVar
+
 import numpy as np
 import pandas as pd
 import torch
@@ -7,6 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.evaluation.followers import Ended, Moment
 from zfall.robots import GRAVITY
 from zfall.rotations import tilt
 
@@ -22,8 +25,8 @@ class Strategies:
 
     ``steps``: times that a foot came down at least 2 cm from where it had left the floor.
     ``displacement`` [m]: of the center of mass, level, since the push. ``recovery_time`` [s]: from
-    the push until the center of mass moves below 0.1 m/s for good; not a number if the robot fell
-    or still moved at the end.
+    the push until the center of mass moves below 0.1 m/s for good; NaN if the robot fell or still
+    moved at the end.
 
     Strategies, each true or false, several at once: ``stepping``: at least one step. ``jumping``:
     no foot on the floor at the end of a control step. ``foot_tilting``: a sole on the floor
@@ -37,6 +40,8 @@ class Strategies:
     Args:
         env: the base env.
     """
+
+    outcomes: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, env: HumanoidEnv):
         n, robot = env.num_envs, env.robot
@@ -55,7 +60,7 @@ class Strategies:
         self._contact = torch.ones(n, 2, dtype=torch.bool)
         self._left: Tensor | None = None
 
-    def before(self, td: TensorDictBase) -> None:
+    def before(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step before the push, the last of which is what it disturbs."""
         self._com, self._hip = td["com_position"][:, :2], td["joint_position"][:, self.hips]
         self._follow(td)
@@ -68,8 +73,9 @@ class Strategies:
         self._left = torch.where(contact[..., None], feet, stood)
         return (feet - stood).norm(dim=-1)
 
-    def update(self, td: TensorDictBase, counted: Tensor, since_push: float) -> None:
-        """Takes in a control step of the worlds ``counted`` ``(N,)`` bool."""
+    def update(self, td: TensorDictBase, now: Moment) -> None:
+        """Takes in a control step, of trials up to their fall."""
+        counted, since_push = now.upto_fall, now.since_push
         com, contact = td["com_position"][:, :2], td["feet_contact"]
         hip, flew = td["joint_position"][:, self.hips], ~self._contact
         landed = contact & flew & (self._follow(td) > STRIDE)
@@ -91,9 +97,9 @@ class Strategies:
         for name, value in now.items():
             self.flags[name] |= value & counted
 
-    def table(self, fell: Tensor) -> dict[str, Tensor]:
-        """Columns ``(N,)``, given which trials ``fell`` ``(N,)`` bool."""
-        came_to_rest = self.seen & self.still & ~fell
+    def table(self, ended: Ended) -> dict[str, Tensor]:
+        """Columns ``(N,)``."""
+        came_to_rest = self.seen & self.still & ~ended.fell
         others = torch.stack(list(self.flags.values())).any(0)
         return {
             "recovery_time_s": torch.where(came_to_rest, self.last_motion, torch.nan),

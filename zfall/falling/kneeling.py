@@ -1,32 +1,26 @@
 """How a trial that was not recovered from ends: on the knees or not, and how hard."""
 
-from collections.abc import Mapping
-from typing import Any
+from typing import ClassVar
 
-import numpy as np
-import pandas as pd
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.evaluation.comparison import bootstrap_interval, ratio_interval
-from zfall.evaluation.statistics import wilson
+from zfall.evaluation.followers import Ended, Moment
 from zfall.falling.terms import resting_kneel
 
 HOLD = 0.5  # time without a break that makes a kneel stable [s]
 RECOVER, KNEEL = 0, 1  # positions in ``mode``
-FEW = 10  # trials below which a mean has no interval
-PEAKS = ("peak_base_acceleration", "peak_torso_head_force", "peak_joint_torque")
 
 
 class Kneeling:
     """Looks for a stable kneel, and adds up what the floor did to each region.
 
-    ``kneeled``: at the end of the trial it has been a ``resting_kneel`` for half a second.
-    ``trigger_s`` [s]: from the push's begin to the trigger, the first step in mode KNEEL or,
-    without modes, the first touch; not a number if it came before the push, which
-    ``gave_up_before`` says. ``kneel_time_s`` [s]: from the trigger until the kneel had been
+    ``kneeled``: it fell, and at the end of the trial it has been a ``resting_kneel`` for half a
+    second. ``trigger_s`` [s]: from the push's begin to the trigger, the first step in mode KNEEL
+    or, without modes, the first touch; NaN if it came before the push, which ``gave_up_before``
+    says. ``kneel_time_s`` [s]: from the trigger until the kneel had been
     stable for half a second. ``impact_energy`` [J]: ``m |v|^2 / 2`` with v the velocity of the
     center of mass one control step before anything but the feet touched.
     ``contact_impulse/REGION`` [N s]: time integral of the floor's force.
@@ -34,6 +28,8 @@ class Kneeling:
     Args:
         env: the base env.
     """
+
+    outcomes: ClassVar[tuple[str, ...]] = ("kneeled",)
 
     def __init__(self, env: HumanoidEnv):
         n = env.num_envs
@@ -51,28 +47,17 @@ class Kneeling:
         """Trials that are in a stable kneel now ``(N,)`` bool."""
         return self.rested > HOLD - 1e-6
 
-    def before(self, td: TensorDictBase, touched: Tensor) -> None:
-        """Takes in a control step before the push.
+    def before(self, td: TensorDictBase, now: Moment) -> None:
+        """Takes in a control step before the push."""
+        self.early |= td["mode"][:, RECOVER] == 0 if "mode" in td.keys() else now.touched
 
-        Args:
-            td: what followed it.
-            touched: worlds in which something but the feet touches ``(N,)`` bool.
-        """
-        self.early |= td["mode"][:, RECOVER] == 0 if "mode" in td.keys() else touched
-
-    def update(self, td: TensorDictBase, counted: Tensor, first: Tensor, since_push: float) -> None:
-        """Takes in a control step after the push.
-
-        Args:
-            td: what followed it.
-            counted: worlds whose trial goes on ``(N,)`` bool.
-            first: worlds in which something but the feet touched for the first time.
-            since_push: time [s].
-        """
+    def update(self, td: TensorDictBase, now: Moment) -> None:
+        """Takes in a control step after the push, until the trial is settled."""
+        counted, first, since_push = now.counted, now.first, now.since_push
         resting = resting_kneel(td, td, robot=self.robot).squeeze(-1)
         before = self.kneeled
-        now = torch.where(resting, self.rested + self.dt, 0.0)
-        self.rested = torch.where(counted, now, self.rested)
+        rested = torch.where(resting, self.rested + self.dt, 0.0)
+        self.rested = torch.where(counted, rested, self.rested)
         self.stable = torch.where(self.kneeled & ~before, since_push, self.stable)
         triggered = td["mode"][:, KNEEL] > 0 if "mode" in td.keys() else first
         new = triggered & counted & self.trigger.isnan() & ~self.early
@@ -85,120 +70,15 @@ class Kneeling:
         self.energy = torch.where(first, 0.5 * mass * before_it.square(), self.energy)
         self._speed = speed
 
-    def table(self) -> dict[str, Tensor]:
-        """Columns ``(N,)``."""
+    def table(self, ended: Ended) -> dict[str, Tensor]:
+        """Columns ``(N,)``; nothing of the floor's for a trial that was over before the push."""
+        impulse = torch.where(ended.before_push[:, None], torch.nan, self.impulse)
         took = torch.where(self.kneeled, self.stable - self.trigger, torch.nan)
         return {
+            "kneeled": self.kneeled & ended.fell & ~ended.diverged,
             "kneel_time_s": took,
             "trigger_s": self.trigger,
             "gave_up_before": self.early,
             "impact_energy": self.energy,
-            **{f"contact_impulse/{r}": self.impulse[:, i] for i, r in enumerate(self.regions)},
+            **{f"contact_impulse/{r}": impulse[:, i] for i, r in enumerate(self.regions)},
         }
-
-
-def summarize_kneel(trials: pd.DataFrame) -> dict[str, Any]:
-    """Figures of battery ``kneel``: by impulse of the grid, and by force of the list.
-
-    Each entry holds ``n``, ``recovered``, ``kneeled`` (of those not recovered), ``clean`` and
-    ``untouched`` (without contact of torso or head: of the kneels, of all not recovered), each
-    with ``_low`` and ``_high``, its Wilson 95 % interval, and the means of ``PEAKS`` over those
-    not recovered, but for those that fell before the push, with a bootstrap interval over trials
-    if there are ten; ``null`` if there is nothing to count.
-    ``grid_falls`` and the means are of the grid, whose pushes hardly anyone recovers from: over the
-    list they would be over other pushes for each policy.
-    """
-    pushed = trials[trials["impulse"] > 0]
-    grid, listed = pushed[~pushed["listed"]], pushed[pushed["listed"]]
-    fallen = grid[~grid["recovered"]]
-    return {
-        "by_impulse": {f"{size:g}": _outcomes(group) for size, group in grid.groupby("impulse")},
-        "by_direction": {
-            f"{np.degrees(group['direction_rad'].iloc[0]):.0f}": _outcomes(group)
-            for _, group in grid.groupby("direction_rad")
-        },
-        "listed": {
-            _force_name(group): _outcomes(group)
-            for _, group in listed.groupby(["impulse", "direction_rad"], sort=False)
-        },
-        "grid_falls": len(fallen),
-        **{f"grid_falls_{name}_mean": _mean(peaks) for name, peaks in peaks_of(fallen).items()},
-        "grid_falls_impact_energy_mean": _mean(fallen["impact_energy"]),
-        "grid_kneel_time_s_mean": _mean(fallen["kneel_time_s"]),
-    }
-
-
-def _mean(values: pd.Series) -> float | None:
-    """Mean of those that are numbers, if any is."""
-    mean = float(values.mean())
-    return None if np.isnan(mean) else mean
-
-
-def peaks_of(trials: pd.DataFrame) -> dict[str, pd.Series]:
-    """``PEAKS`` of each trial: acceleration [m/s2], force on torso or head [N], torque [N m]."""
-    torso_head = trials[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
-    values = (trials["peak_base_acceleration"], torso_head, trials["peak_joint_torque"])
-    return dict(zip(PEAKS, values, strict=True))
-
-
-def _fell_before(trials: pd.DataFrame) -> pd.Series:
-    """Trials that had fallen when the push came: their peaks are those of lying there."""
-    return trials["time_to_fall_s"] <= 0
-
-
-def torso_or_head(trials: pd.DataFrame) -> pd.Series:
-    """Trials in which torso or head touched the floor."""
-    return (trials["peak_contact_force/torso"] > 0) | (trials["peak_contact_force/head"] > 0)
-
-
-def _force_name(group: pd.DataFrame) -> str:
-    """Forward and leftward force of trials that share it, ``(-45, 20)`` [N]."""
-    force, heading = group["force_n"].iloc[0], group["direction_rad"].iloc[0]
-    return f"({force * np.cos(heading):.0f}, {force * np.sin(heading):.0f})".replace("-0", "0")
-
-
-def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
-    fallen = trials[~trials["recovered"]]
-    kneels = fallen[fallen["kneeled"]]
-    touched = torso_or_head(kneels)
-    counts = {
-        "recovered": (int(trials["recovered"].sum()), len(trials)),
-        "kneeled": (len(kneels), len(fallen)),
-        "clean": (int((~touched).sum()), len(kneels)),
-        "untouched": (int((~torso_or_head(fallen)).sum()), len(fallen)),
-    }
-    out: dict[str, Any] = {"n": len(trials)}
-    for name, (successes, count) in counts.items():
-        low, high = wilson(successes, count) if count else (None, None)
-        out[name] = successes / count if count else None
-        out[f"{name}_low"], out[f"{name}_high"] = low, high
-    for name, peaks in peaks_of(fallen[~_fell_before(fallen)]).items():
-        out[name] = _mean(peaks)
-        low, high = bootstrap_interval(peaks.tolist()) if len(peaks) >= FEW else (None, None)
-        out[f"{name}_low"], out[f"{name}_high"] = low, high
-    return out
-
-
-def compare_falls(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Peaks of several policies over the pushes of the grid after which, not before, all fell.
-
-    Returns:
-        One row per name: ``falls``, and of each of ``PEAKS`` its mean and the bootstrap 95 %
-        interval over those pushes of the first run's mean divided by it, if there are ten.
-    """
-    grid = next(iter(runs.values()))
-    fell = (grid["impulse"] > 0) & ~grid["listed"]
-    for trials in runs.values():
-        fell &= ~trials["recovered"] & ~_fell_before(trials)
-    peaks = {name: peaks_of(trials[fell]) for name, trials in runs.items()}
-    first, *_ = peaks.values()
-    rows = []
-    for name, own in peaks.items():
-        row: dict[str, Any] = {"run": name, "falls": int(fell.sum())}
-        for key, values in own.items():
-            row[key] = _mean(values)
-            known = len(values) >= FEW and (values > 0).any()  # limp has no torque
-            low, high = ratio_interval(first[key], values) if known else (None, None)
-            row |= {f"{key}_ratio_low": low, f"{key}_ratio_high": high}
-        rows.append(row)
-    return pd.DataFrame(rows)

@@ -13,7 +13,6 @@ from zfall.evaluation.plots.heat import withstood_map  # noqa: E402
 from zfall.evaluation.plots.polar import envelope_plot, overlay, success_map  # noqa: E402
 from zfall.evaluation.plots.profiles import profiles_plot  # noqa: E402
 from zfall.evaluation.plots.traces import trace_plot  # noqa: E402
-from zfall.falling.plots import reliability_plot, trigger_plot  # noqa: E402
 
 __all__ = [
     "envelope_plot",
@@ -21,9 +20,7 @@ __all__ = [
     "learning_curves",
     "overlay",
     "profiles_plot",
-    "reliability_plot",
     "success_map",
     "trace_plot",
-    "trigger_plot",
     "withstood_map",
 ]

@@ -1,0 +1,130 @@
+"""One push in a level direction: which sizes are recovered from."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from rich.box import SIMPLE
+from rich.table import Table
+
+from zfall.evaluation.definitions import Battery, check_single, check_unused
+from zfall.evaluation.kinds import Figures
+from zfall.evaluation.metrics import Outcomes
+from zfall.evaluation.pendulum import references
+from zfall.evaluation.plans import Pushes, grid, single_pushes
+from zfall.evaluation.plots import overlay, profiles_plot, success_map
+from zfall.evaluation.results import Result
+from zfall.evaluation.statistics import summarize
+from zfall.evaluation.strategies import strategy_table
+from zfall.evaluation.writers import Written, write_figures, write_table
+
+
+class Planar:
+    """Directions x sizes x starts; the headline is I50, the largest size withstood."""
+
+    independent: ClassVar[bool] = True
+    baseline_task: ClassVar[str] = "push_recovery"
+    study_figures: ClassVar[Figures] = {
+        "i50_mean": ("mean I50", 3),
+        "i50_min": ("least I50", 2),
+        "success": ("success", 3),
+        "target_smoothness": ("smoothness [mrad]", 2),
+        "joint_torque_rms": ("torque, smallest push [N m]", 2),
+        "control_falls": ("falls without a push", 1),
+        "frames_per_s": ("frames/s", 0),
+    }
+    needs_training_size: ClassVar[bool] = True
+
+    plan = staticmethod(grid)
+    pushes = staticmethod(single_pushes)
+    summary = staticmethod(summarize)
+
+    def check(self, battery: Battery) -> None:
+        """One push point and duration, and no random or listed pushes."""
+        check_unused(battery, "resolution", "interval", "forces")
+        check_single(battery, "duration", "point")
+
+    def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
+        """None of its own."""
+        return {}
+
+    def background(self, battery: Battery) -> Battery | None:
+        """Five starts: enough to draw ``pose_hold`` behind the policy."""
+        return replace(battery, starts=min(battery.starts, 5))
+
+    def write(self, result: Result, folder: Path) -> Written:
+        """The map of success over ``pose_hold``, and the strategies by side and size."""
+        summary, lines = result.summary, references(result.robot, result.battery.durations[0])
+        title = f"{result.name}, {folder.name.replace('_', ' ')}"
+        files = write_figures(
+            folder,
+            "success_map",
+            lambda path: success_map(
+                result.trials, path, title=title, baseline=result.background, lines=lines
+            ),
+        )
+        files += write_table(folder, "strategies", strategy_table(result.trials))
+        headline = (
+            f"I50 mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f}; "
+            f"I90 mean {summary['i90_mean']:.3f}"
+        )
+        return Written(files, [success_by_size({result.name: summary}), headline])
+
+    def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
+        """I50 by direction of all, and in how many directions it is at least as large."""
+        first = next(iter(results.values()))
+        trials = {label: result.trials for label, result in results.items()}
+        lines = references(first.robot, first.battery.durations[0])
+        title = f"I50, {folder.name.replace('_', ' ')}"
+        files = write_figures(
+            folder, "overlay", lambda path: overlay(trials, path, title=title, lines=lines)
+        )
+        files += write_figures(
+            folder, "profiles", lambda path: profiles_plot(trials, path, title=title)
+        )
+        shown = success_by_size({label: result.summary for label, result in results.items()})
+        return Written(files, [shown])
+
+    def study_row(
+        self, battery: Battery, trials: pd.DataFrame, training_size: str
+    ) -> dict[str, float]:
+        """``study_figures`` but for the speed; success is that at ``training_size``."""
+        summary = summarize(battery, trials)
+        mild = trials[trials["impulse"] == trials["impulse"][trials["impulse"] > 0].min()]
+        return {
+            "i50_mean": summary["i50_mean"],
+            "i50_min": summary["i50_min"],
+            "success": summary["success"][training_size],
+            "target_smoothness": 1e3 * summary["target_smoothness"],
+            "joint_torque_rms": float(mild["joint_torque_rms"].mean()),
+            "control_falls": summary["control_falls"],
+        }
+
+
+def success_by_size(summaries: Mapping[str, dict[str, Any]]) -> Table:
+    """Success by impulse and the headline figures, one column per policy."""
+    first = next(iter(summaries.values()))
+    duration = first["definition"]["duration"]
+    title = f"planar, {first['n']} trials each: share recovered, 95 % interval"
+    out = Table(title=title, box=SIMPLE)
+    out.add_column(f"push I (N for {duration:g} s)")
+    for name in summaries:
+        out.add_column(name, justify="right")
+    for key in first["success"]:
+        cells = [
+            f"{100 * s['success'][key]:3.0f} %  [{100 * s['success_low'][key]:.0f}, "
+            f"{100 * s['success_high'][key]:.0f}]"
+            for s in summaries.values()
+        ]
+        out.add_row(f"{key} ({first['force_n'][key]:.0f} N)", *cells)
+    label = (
+        "mean I50" if len(first["success"]) > 9 else f"mean I50 (of {', '.join(first['success'])})"
+    )
+    out.add_row(label, *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
+    falls = (f"{s['control_falls']} of {s['control_n']}" for s in summaries.values())
+    out.add_row("falls without a push", *falls)
+    return out
