@@ -2,30 +2,34 @@
 
 import pytest
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import ExplorationType, set_exploration_type
 from torchrl.envs.utils import step_mdp
-from torchrl.modules.utils import get_primers_from_module
 
+import zfall
 from zfall import checkpoint
-from zfall.evaluation.candidate import load_run
-from zfall.modules.actors import recurrent_keys
 from zfall.policies.load import POLICIES
 
+NAMES = sorted(path.stem for path in POLICIES.glob("*.pt"))
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in POLICIES.glob("*.pt")))
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_policy_that_ships_stands_for_a_second(name):
     """In its own world without noise, pushes and delays, from its starts."""
-    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), name)
-    env = instantiate(env_cfg, base_env={"num_envs": 4}, training=False)
-    if recurrent_keys(actor):
-        env.append_transform(get_primers_from_module(actor))
+    policy = zfall.load_policy(name)
+    env = policy.env(num_envs=4)
     env.set_seed(0)
     steps = round(1.0 / env.base_env.control_dt)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        rollout = env.rollout(steps, actor, break_when_any_done=False)
+        rollout = env.rollout(steps, policy.actor, break_when_any_done=False)
     assert not rollout["next", "terminated"].any()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_policy_that_ships_has_a_card(name):
+    card = zfall.load_policy(name).card
+    assert card.startswith(f"# {name}")
+    assert f"run={name}" in card
 
 
 def test_best_gru_is_configured_as_it_was_trained(compose_config):
@@ -33,6 +37,7 @@ def test_best_gru_is_configured_as_it_was_trained(compose_config):
     cfg = compose_config("experiment=best_gru", "showcase=null")
     trained = DictConfig(OmegaConf.create(content["config"]))
     trained.groups, trained.alike, trained.actor.residual = None, 1, False  # there were none
+    trained.name, trained.logger = None, cfg.logger
     trained.optimizer.fused = True  # it was plain Adam, the same update in more steps
     assert trained == cfg
 
@@ -46,14 +51,14 @@ def test_the_network_of_the_report_is_the_one_that_ships(compose_config):
 
 def test_kneel_soft_catches_a_fall_to_the_left_in_a_mirror():
     """Two worlds, kicked to the left and to the right by 2.5 m/s: both give up, one mirrored."""
-    env_cfg, actor = load_run(OmegaConf.create({"checkpoint": "last"}), "kneel_soft")
-    env = instantiate(env_cfg, base_env={"num_envs": 2}, training=False)
+    policy = zfall.load_policy("kneel_soft")
+    env = policy.env(num_envs=2)
     env.set_seed(0)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = step_mdp(env.rollout(10, actor)[:, -1])
+        td = step_mdp(env.rollout(10, policy.actor)[:, -1])
         assert not td["fall_mirrored"].any()
         env.base_env.simulation.qvel[:, 1] += torch.tensor([2.5, -2.5])
         for _ in range(20):
-            td = step_mdp(env.step(actor(td)))
+            td = step_mdp(env.step(policy.actor(td)))
     assert (td["mode"][:, 0] == 0).all()
     assert td["fall_mirrored"][:, 0].tolist() == [True, False]

@@ -724,3 +724,19 @@ def test_a_task_needs_no_terminations_no_divergence_and_no_table_of_its_reward(c
     assert metrics["episode_seconds"] == pytest.approx(0.2)
     assert not any(key.startswith(("termination/", "reward/", "diverged")) for key in metrics)
     learner.learn(batch)
+
+
+def test_a_plain_dict_is_completed_by_the_quickstarts_values(compose_config):
+    """The same updates as from the shell's config with the same values."""
+    values = {"num_envs": 8, "rollout_steps": 4, "seed": 3}
+    composed = compose_config(*(f"{key}={value}" for key, value in values.items()))
+    figures = []
+    for config in (values, composed):
+        learner = Learner(config)
+        figures.append(learner.learn(learner.collect()))
+    assert figures[0] == figures[1]
+
+
+def test_a_key_that_nothing_reads_is_refused_in_a_dict():
+    with pytest.raises(ValueError, match=r"num_env is not a key .* did you mean num_envs"):
+        Learner({"num_env": 8})
