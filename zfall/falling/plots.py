@@ -1,4 +1,4 @@
-"""How well falls are foreseen."""
+"""Figures of a trigger: how well it foresees falls."""
 
 from pathlib import Path
 
@@ -7,14 +7,16 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+import zfall.evaluation.plots  # noqa: F401 (sets fonts, and that there is no screen)
+
 
 def reliability_plot(
     probability: NDArray[np.float32], truth: NDArray[np.float32], path: Path, *, bins: int = 10
 ) -> None:
-    """Share of steps that end in a fall, over the probability that was said.
+    """Share of steps that end in a fall, over the predicted probability.
 
     Args:
-        probability: said at each step ``(K,)``.
+        probability: predicted at each step ``(K,)``.
         truth: 1 where a fall followed ``(K,)``.
         path: file to write; its ending gives the format.
         bins: of equal width.
@@ -26,7 +28,7 @@ def reliability_plot(
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], ":", color="0.5", lw=1)
     axes.plot(said, seen, "o-", color="0.0", ms=4, lw=1)
-    axes.set_xlabel("probability of a fall, as said", fontsize=8)
+    axes.set_xlabel("predicted probability of a fall", fontsize=8)
     axes.set_ylabel("share that fell", fontsize=8)
     axes.tick_params(labelsize=7)
     axes.grid(alpha=0.3)
@@ -49,7 +51,7 @@ def trigger_plot(rows: pd.DataFrame, path: Path) -> None:
     rules = rows[rows["trigger"] == "rule"]
     hold = rules["setting"].str.extract(r"([\d.]+) s$")[0].astype(float)
     for (value, group), mark in zip(rules.groupby(hold), "sd^x+", strict=False):
-        label = f"rule, held for {value:g} s"
+        label = f"rule, for {value:g} s"
         x, y = 100 * group["false_alarms"], group["lead_s"]
         axes.plot(x, y, mark, color="0.5", ms=4, mfc="none", label=label)
     axes.set_xlabel("false alarms [%]", fontsize=8)

@@ -1,0 +1,85 @@
+"""How early a trigger is, and how often it is wrong."""
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import Tensor
+
+from zfall.falling.modes import KNEEL, ModeRule, in_danger, modes_over
+from zfall.falling.trigger.history import History
+
+_NEVER = 10**6  # [steps]
+_THRESHOLDS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
+_HOLDS, _RATES, _ANGLES = (0.04, 0.08, 0.2), (2.0, 4.0, np.inf), (0.3, 0.4, 0.5, 0.6, 0.7)
+
+
+def comparison(history: History, probability: Tensor, control_dt: float) -> pd.DataFrame:
+    """``table`` of the network, by threshold, and of the fixed rule, by its bounds.
+
+    Args:
+        history: K trials.
+        probability: of a fall, by the network ``(K, T)``.
+        control_dt: of the trials [s].
+    """
+    parts = [
+        table("network", history, learned(probability), control_dt),
+        table("rule", history, ruled(history, control_dt), control_dt),
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def learned(probability: Tensor) -> dict[str, Tensor]:
+    """Steps ``(K, T)`` bool at which the network has triggered, by threshold."""
+    return {f"{p:g}": (probability > p).cummax(1).values for p in _THRESHOLDS}
+
+
+def ruled(history: History, control_dt: float) -> dict[str, Tensor]:
+    """Steps ``(K, T)`` bool at which the fixed rule has triggered, by tilt, rate and hold."""
+    out = {}
+    for hold in _HOLDS:
+        rule = ModeRule(hold=max(1, round(hold / control_dt)), rest=_NEVER)
+        for rate in _RATES:
+            for angle in _ANGLES:
+                danger = in_danger(history.lean, history.rate, angle=angle, angular_velocity=rate).T
+                no = torch.zeros_like(danger)
+                name = f"{angle:g} rad, {rate:g} rad/s, {hold:g} s"
+                out[name] = modes_over(rule, danger, no, no).T >= KNEEL
+    return out
+
+
+def table(
+    kind: str, history: History, triggered: dict[str, Tensor], control_dt: float
+) -> pd.DataFrame:
+    """A row for each setting of a trigger.
+
+    Args:
+        kind: of the trigger, ``network`` or ``rule``.
+        history: K trials.
+        triggered: by setting, steps ``(K, T)`` bool at which it has triggered.
+        control_dt: of the trials [s].
+
+    Returns:
+        ``trigger``, ``setting``; ``detected``: share of the falls in which it triggered between
+        the push's begin and the first touch, and not before; ``lead_s``: median time from trigger
+        to touch in these, NaN without any; ``false_alarms``: share of the other trials that it
+        gave up.
+    """
+    rows = []
+    steps = torch.arange(history.live.shape[1])
+    touch = torch.where(history.live, _NEVER, steps).amin(1)
+    begin = (~history.pushed).sum(1)  # the first step after the push has begun
+    for name, state in triggered.items():
+        first = torch.where(state, steps, _NEVER).amin(1)
+        falls, stays = history.fell, ~history.fell
+        seen = falls & (first < touch) & (first >= begin)
+        lead = ((touch - first)[seen].double() * control_dt).median() if seen.any() else torch.nan
+        rows.append(
+            {
+                "trigger": kind,
+                "setting": name,
+                "detected": float(seen.sum() / falls.sum()),
+                "lead_s": float(lead),
+                "false_alarms": float((first[stays] < _NEVER).double().mean()),
+            }
+        )
+    return pd.DataFrame(rows)
