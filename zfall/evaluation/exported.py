@@ -4,12 +4,14 @@ Observation and action are the task's own; that ``policy.json`` says the same of
 checked in every step.
 """
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import torch
 from dm_control.mujoco import wrapper
 from dm_control.rl import control
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from omegaconf import DictConfig
 
 from zfall.envs.dm_task import TableTask
 from zfall.envs.tables import robot_of
-from zfall.evaluation.battery import arrange, battery_env
+from zfall.evaluation.battery import arrange, battery_env, run_battery
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import plan_pushes, plan_trials, those_of
@@ -144,3 +146,30 @@ def agreement(battery: Battery, exported: pd.DataFrame, own: pd.DataFrame) -> st
         )
     error = exported["target_error"].max()
     return "\n".join([*lines, f"targets are those of policy.json to {error:.1g} rad"])
+
+
+def compare_planar(
+    battery: Battery,
+    env_cfg: DictConfig,
+    actor: torch.nn.Module,
+    folder: Path,
+    follow: Callable[[str], Callable[[int, int], None]],
+) -> str:
+    """Puts what was exported and the policy to the same battery; writes ``planar.csv``.
+
+    Args:
+        battery: of kind ``Planar``.
+        env_cfg: config of the env.
+        actor: the policy.
+        folder: of ``policy.onnx`` and ``policy.json``.
+        follow: begins a bar of this name; what it returns is called with the work done and its
+            total.
+
+    Returns:
+        Their ``agreement``.
+    """
+    policy = OnnxPolicy(folder / "policy.onnx", json.loads((folder / "policy.json").read_text()))
+    exported = run_exported(battery, env_cfg, policy, progress=follow("as exported"))
+    own = run_battery(battery, env_cfg, actor, progress=follow("in zfall"))
+    exported.assign(recovered_in_zfall=own["recovered"]).to_csv(folder / "planar.csv", index=False)
+    return agreement(battery, exported, own)

@@ -47,7 +47,7 @@ def write_report(folder: Path, command: str = "") -> Path:
 
     Args:
         folder: which.
-        command: what a comparison was asked for with.
+        command: with which a comparison was started.
 
     Returns:
         The page, which holds everything it shows.
@@ -59,7 +59,7 @@ def write_report(folder: Path, command: str = "") -> Path:
         sections.append(_comparison(folder))
     film = folder / "video.mp4"
     if film.exists():
-        text = "Above the policy, below the held pose; the arrow is the force."
+        text = "Above the policy, below pose_hold; the arrow is the force."
         sections.append(Section("Film", notes=[text], video=_encoded(film)))
     sections.append(_reproduction(folder, command))
     frames = f"{platform.python_implementation()} {platform.python_version()}"
@@ -123,9 +123,7 @@ def _battery(folder: Path) -> Section:
             for size, rate in summary["success"].items()
         ]
         tables.append(_html(pd.DataFrame(rows)))
-    for name in ("outcomes", "strategies", "withstood", "envelope"):
-        if (folder / f"{name}.csv").exists():
-            tables.append(_html(pd.read_csv(folder / f"{name}.csv")))
+    tables += [_html(pd.read_csv(path)) for path in _tables(folder)]
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
     title = f"Battery {folder.name.replace('_', ' ')}"
     return Section(title, notes=notes, tables=tables, figures=figures)
@@ -133,10 +131,15 @@ def _battery(folder: Path) -> Section:
 
 def _comparison(folder: Path) -> Section:
     note = "Differences are to the first run, on the same trials; p is of McNemar's exact test."
-    paths = [folder / f"{name}.csv" for name in ("comparison", "falls", "outcomes")]
-    tables = [_html(pd.read_csv(path)) for path in paths if path.exists()]
+    tables = [_html(pd.read_csv(path)) for path in _tables(folder)]
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
     return Section("Comparison", notes=[note], tables=tables, figures=figures)
+
+
+def _tables(folder: Path) -> list[Path]:
+    """Tables to show, those of ``write_table``: a csv next to its Markdown; comparisons first."""
+    paths = [path for path in folder.glob("*.csv") if path.with_suffix(".md").exists()]
+    return sorted(paths, key=lambda path: (path.stem != "comparison", path.stem))
 
 
 def _reproduction(folder: Path, command: str) -> Section:

@@ -198,7 +198,7 @@ def run_or_read(
     background = None
     behind = kind_of(battery).background(battery)
     if behind is not None and candidate.actor is not None:
-        still, name = candidate.still(), f"pose_hold, {behind.starts} starts"
+        still, name = candidate.still(), "pose_hold, to compare with"
         keep = {} if kind_of(behind).independent else {"folder": folder, "conditions": conditions}
         background = trials_of(behind, still, label=name, **given, **keep)
     write_trials(folder / "trials.csv", trials, conditions)

@@ -11,7 +11,6 @@ from rich.console import Console
 from torch import Tensor
 
 from zfall.commands import shell_line, shown_path
-from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.tables import robot_of
 from zfall.evaluation.baselines import passive
 from zfall.evaluation.battery import battery_env, play, run_battery
@@ -21,7 +20,7 @@ from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.report import write_report
 from zfall.evaluation.statistics import summarize
-from zfall.evaluation.video import film
+from zfall.evaluation.video import film, frame
 from zfall.evaluation.writers import write_summary
 
 SIDES = {
@@ -89,11 +88,6 @@ def video(
         film(base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=frame(base))
     except RuntimeError as error:
         console.print(f"no video: {error}")
-
-
-def frame(env: HumanoidEnv) -> float:
-    """Time between two frames of the film: whole control steps, about 0.08 s."""
-    return max(1, round(0.08 / env.control_dt)) * env.control_dt
 
 
 def record(

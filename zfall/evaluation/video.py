@@ -1,4 +1,4 @@
-"""Films of trials: a policy beside the pose held by the servos."""
+"""Films of trials: a row for each policy, a column for each push."""
 
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+from zfall.envs.humanoid import HumanoidEnv
 
 INSTALL = (
     "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6), and set MUJOCO_GL=egl (or osmesa)"
@@ -78,6 +80,11 @@ def film(
                 lines.append(np.concatenate(tiles, 1))
             writer.append_data(np.concatenate(lines, 0))
     renderer.close()
+
+
+def frame(env: HumanoidEnv) -> float:
+    """Time between two frames of the film: whole control steps, about 0.08 s."""
+    return max(1, round(0.08 / env.control_dt)) * env.control_dt
 
 
 def _draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, force: NDArray[np.float64]) -> None:

@@ -38,6 +38,11 @@ class SwitchedActor(TensorDictModuleBase):
         ValueError: if both have a memory: they would share its key.
     """
 
+    # It has no plain form, see ``zfall.modules.deployed``.
+    not_deployed: ClassVar[str] = (
+        "run must hold one policy; export recover and kneel each by itself."
+    )
+
     def __init__(self, recover: Any, kneel: Any, *, begins: bool = False):
         super().__init__()
         if recurrent_keys(recover) and recurrent_keys(kneel):

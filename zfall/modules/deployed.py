@@ -5,7 +5,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from zfall.falling.switched import SwitchedActor
 from zfall.modules.actors import recurrent_keys
 
 
@@ -71,11 +70,14 @@ class _Statistic(nn.Module):
 def deployed(actor: Any) -> nn.Module:
     """The policy of an actor.
 
+    Args:
+        actor: of ``mlp_actor`` or ``gru_actor``, or one of a class that declares ``not_deployed``.
+
     Raises:
-        ValueError: if it is of a kind that has no plain form.
+        ValueError: if it has no plain form, with the text of ``not_deployed``.
     """
-    if isinstance(actor, SwitchedActor):
-        raise ValueError("run must hold one policy; export recover and kneel each by itself.")
+    if reason := getattr(actor, "not_deployed", None):
+        raise ValueError(reason)
     module = DeployedGRU(actor) if recurrent_keys(actor) else DeployedMLP(actor)
     return module.eval()
 

@@ -1,6 +1,7 @@
 """What the robot is told to do."""
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -43,6 +44,8 @@ class Command(Transform):
 
     Source: the entries are those of the Zeroth-01 project's report; the draws are ours.
     """
+
+    units: ClassVar[Mapping[str, str]] = {"command": "m/s, m/s, rad, m, rad, rad"}
 
     command: Tensor
     rest: Tensor

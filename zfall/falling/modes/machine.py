@@ -127,6 +127,7 @@ class ModeMachine(Transform):
     """
 
     mirror_signs: ClassVar[Mapping[str, tuple[float, ...]]] = {"mode": (1.0, 1.0, 1.0)}
+    units: ClassVar[Mapping[str, str]] = {"mode": "0 or 1: recover, kneel, stable"}
 
     ahead: Tensor
     behind: Tensor

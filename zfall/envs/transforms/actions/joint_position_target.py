@@ -1,5 +1,8 @@
 """From the policy's action to the servos' targets."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -27,6 +30,8 @@ class JointPositionTarget(Transform):
     Raises:
         ValueError: if ``scale`` is not positive.
     """
+
+    units: ClassVar[Mapping[str, str]] = {"target": "rad"}
 
     reference: Tensor
     range: Tensor

@@ -1,5 +1,8 @@
 """From velocities to consistent servo targets."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -49,6 +52,8 @@ class JointVelocityTarget(Transform):
     "Reactive stepping for humanoid robots using reinforcement learning", IROS 2022, section IV.
     The velocity goes through the position command, as these servos take nothing else.
     """
+
+    units: ClassVar[Mapping[str, str]] = {"target": "rad"}
 
     range: Tensor
     time_constant: Tensor

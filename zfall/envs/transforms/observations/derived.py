@@ -4,7 +4,8 @@ Each is worked out from the true values, and once more from the measured ones, a
 key)``, if an earlier sensing transform measured one of those it follows from.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -109,6 +110,7 @@ class ImuOrientation(Transform):
     (w, x, y, z), base to world.
     """
 
+    units: ClassVar[Mapping[str, str]] = {"imu_orientation": "1, w x y z, w >= 0"}
     measured = True
 
     def __init__(self) -> None:

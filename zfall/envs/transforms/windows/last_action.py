@@ -1,5 +1,8 @@
 """The action of the step before."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs import Transform
@@ -14,6 +17,8 @@ class LastAction(Transform):
     Raises:
         ValueError: if no transform of the env takes an action.
     """
+
+    units: ClassVar[Mapping[str, str]] = {"last_action": "1"}
 
     def __init__(self) -> None:
         super().__init__(in_keys=["action"], out_keys=["last_action"])
