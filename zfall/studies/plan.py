@@ -1,30 +1,27 @@
-"""The plan of a study: what is trained, beside what it acts, and in which worlds it is tested."""
+"""The plan of a study: what is trained, what it is tested with, and in which worlds."""
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.errors import HydraException
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from zfall import checkpoint
 from zfall.configs import compose_config
-from zfall.envs.tables import INTERFACE, check_same_interface, env_digest
-from zfall.errors import check_number
+from zfall.envs.tables import INTERFACE, env_digest
+from zfall.errors import in_one_line
 from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.metrics import MEASURES
-from zfall.falling.files import MOVEMENTS
-from zfall.fingerprints import digest, file_digest
-from zfall.policies.load import checkpoint_of
-from zfall.training.config import check_config
+from zfall.fingerprints import digest
+from zfall.studies.store import training_digest
+from zfall.studies.tested_with import TestedWith, build_tested_with
+from zfall.training.checks import check_config
 
-NEEDED = ("name", "base", "rows", "seeds", "total_frames", "battery")
-STUDY = {*NEEDED, "row_seeds", "training_size", "tests", "beside"}
-SCRIPT = "script"  # in the place of a policy that kneels
+if TYPE_CHECKING:
+    from zfall.studies.study import Study
 
 
 @dataclass(frozen=True)
@@ -50,78 +47,92 @@ class Run:
         row: its name.
         seed: of the training.
         cfg: of ``recipes.train``, as it is run.
-        beside: ``recover`` or ``kneel``, and the policy of that mode, which the mode machine
-            switches with: the name of one that ships, ``script``, or the config of its training.
+        tested_with: what its policy is tested with, if not alone.
+        others: configs of the trainings that this needs.
         tests: where it is tested.
     """
 
     row: str
     seed: int
     cfg: DictConfig
-    beside: tuple[str, str | DictConfig] | None
+    tested_with: TestedWith | None
+    others: tuple[DictConfig, ...]
     tests: tuple[Test, ...]
 
     @property
     def trainings(self) -> list[DictConfig]:
         """All that is to be trained."""
-        other = self.beside[1] if self.beside else None
-        return [self.cfg, *([other] if isinstance(other, DictConfig) else [])]
+        return [self.cfg, *self.others]
 
 
-def plan(study: DictConfig) -> list[Run]:
+def plan(study: "Study") -> list[Run]:
     """All runs of a study; every config is composed now, so that a bad one fails before any runs.
 
     Raises:
-        ValueError: if a key is missing, two rows, seeds or tests are the same, something is said of
-            a row that is not there, or a test cannot tell what the table shows.
+        ValueError: if two rows, seeds or tests are the same, or a test cannot be made or cannot
+            give what the table shows.
     """
-    missing = [key for key in NEEDED if OmegaConf.select(study, key) is None]
-    if missing:
-        raise ValueError(f"study.{missing[0]} is missing: a study has {', '.join(NEEDED)}.")
-    _check_kinds(study)
     with of("study.battery"):
         battery = battery_of(study)
-    size = OmegaConf.select(study, "training_size")
     with of("study.training_size"):
-        size = size if size is None else f"{float(size):g}"
-    if not battery.forces and size not in (sizes := [f"{i:g}" for i in battery.impulses]):
-        raise ValueError(f"study.training_size must be one of {', '.join(sizes)}, got {size}.")
-    for key in ("beside", "row_seeds"):
-        unknown = set(OmegaConf.select(study, key) or {}) - set(study.rows)
-        if unknown:
-            raise ValueError(
-                f"study.{key} must name rows ({', '.join(map(str, study.rows))}), "
-                f"got {sorted(map(str, unknown))[0]}."
-            )
-    runs = []
-    for row, overrides in study.rows.items():
-        for seed in (OmegaConf.select(study, "row_seeds") or {}).get(row, study.seeds):
-            with of(f"study.rows.{row}"):
-                cfg = training([*study.base, *overrides], seed, study)
-                trained = training_digest(cfg)
-            beside = _beside(study, row, seed)
-            tests = _tests(study, trained, beside)
-            if beside is not None:
-                _check_switched(str(row), cfg, beside, tests)
-            runs.append(Run(str(row), int(seed), cfg, beside, tests))
-    same: dict[str, str] = {}
-    for run in runs:
-        for test in run.tests:
-            what = shown(run, test)
-            if test.name in same:
-                raise ValueError(f"rows must differ, {what} and {same[test.name]} are the same.")
-            same[test.name] = what
+        training_size_of(study, battery)
+    runs = [
+        _run(study, battery, row, seed)
+        for row in study.rows
+        for seed in study.row_seeds.get(row, study.seeds)
+    ]
+    _check_differ(runs)
     return runs
 
 
-def battery_of(study: DictConfig) -> Battery:
+def _run(study: "Study", battery: Battery, row: str, seed: int) -> Run:
+    """The run of a row with one seed, checked."""
+    with of(f"study.rows.{row}"):
+        cfg = training([*study.base, *study.rows[row]], seed, study)
+        wanted: dict[str, Any] = {
+            "training": training_digest(cfg),
+            "measures": MEASURES,
+            "battery": asdict(battery),
+            "training_size": study.training_size,
+        }
+    if row not in study.tested_with:
+        return Run(str(row), seed, cfg, None, (), _tests(study, wanted))
+    table = study.tested_with[row]
+    with of(f"study.tested_with.{row}"):
+        partner = build_tested_with(table)
+        others = tuple(training(overrides, seed, study) for overrides in partner.trainings)
+        trained = [training_digest(other) for other in others]
+        wanted["tested_with"] = [table["_target_"], partner.fingerprint(), trained]
+    tests = _tests(study, wanted)
+    for test in tests:
+        with of(f"study.tests.{test.title}" if test.title else f"study.tested_with.{row}"):
+            partner.check(cfg, others, in_test(test, cfg.env))
+    return Run(str(row), seed, cfg, partner, others, tests)
+
+
+def battery_of(study: "Study") -> Battery:
     """The battery of a study, with its options."""
-    options: dict[str, Any] = dict(OmegaConf.to_container(study.battery))  # type: ignore[arg-type]
+    options = dict(study.battery)
     return load_battery(options.pop("name"), **options)
 
 
-def training(overrides: Sequence[str], seed: int, study: DictConfig) -> DictConfig:
-    """The config of a training of a study; a row may have a ``total_frames`` of its own."""
+def training_size_of(study: "Study", battery: Battery) -> str:
+    """The impulse whose success the table shows, as a key of ``success``; empty if it shows none.
+
+    Raises:
+        ValueError: if it is none of the battery's.
+    """
+    if not kind_of(battery).needs_training_size:
+        return ""
+    size = study.training_size
+    text = str(size) if size is None else f"{float(size):g}"
+    if text not in (sizes := [f"{impulse:g}" for impulse in battery.impulses]):
+        raise ValueError(f"it must be one of {', '.join(sizes)}, got {text}.")
+    return text
+
+
+def training(overrides: Sequence[str], seed: int, study: "Study") -> DictConfig:
+    """The config of a training of a study, whose overrides may replace its ``total_frames``."""
     own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
     cfg = compose_config([*own, *overrides])
     check_config(cfg)
@@ -138,100 +149,15 @@ def of(key: str) -> Iterator[None]:
     try:
         yield
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise ValueError(f"{key}: {error}") from error
+        raise ValueError(f"{key}: {in_one_line(error)}") from error
     except (AttributeError, TypeError) as error:
         raise ValueError(f"{key}: a value may be of another kind than it takes: {error}") from error
 
 
-def _check_kinds(study: DictConfig) -> None:
-    """Refuses a study without runs, and values of another kind than it has."""
-    for key in ("rows", "tests", "beside", "row_seeds"):
-        if (table := study.get(key)) is not None and not isinstance(table, DictConfig):
-            raise ValueError(f"study.{key} must be a table, NAME: VALUE, got {table}.")
-    if not study.rows:
-        raise ValueError(f"study.rows must be at least one NAME: [OVERRIDES], got {study.rows}.")
-    if not isinstance(study.battery, DictConfig) or "name" not in study.battery:
-        raise ValueError(f"study.battery must be {{name: ..., ...}}, got {study.battery}.")
-    tests = {key: each for key, each in _by_name(study, "tests").items() if each is not None}
-    lists = {"base": study.base, **_by_name(study, "rows"), **tests}
-    seeds = {"seeds": study.seeds, **_by_name(study, "row_seeds")}
-    for key, values in (lists | seeds).items():
-        if not isinstance(values, ListConfig):
-            raise ValueError(f"study.{key} must be a list, got {values}.")
-    for key, values in lists.items():
-        if not all(isinstance(override, str) for override in values):
-            raise ValueError(f"study.{key} must be a list of overrides, KEY=VALUE, got {values}.")
-    for key, values in seeds.items():
-        if not values or any(type(seed) is not int or seed < 0 for seed in values):
-            raise ValueError(f"study.{key} must be whole numbers from 0 on, got {values}.")
-    frames = study.total_frames
-    check_number(frames, "study.total_frames", lambda x: 0 < x < math.inf, "be a positive number")
-
-
-def _by_name(study: DictConfig, key: str) -> dict[str, Any]:
-    return {f"{key}.{name!s}": each for name, each in (study.get(key) or {}).items()}
-
-
-def _beside(study: DictConfig, row: Any, seed: int) -> tuple[str, str | DictConfig] | None:
-    given = (OmegaConf.select(study, "beside") or {}).get(row)
-    if given is None:
-        return None
-    parts = list(given.items()) if isinstance(given, DictConfig) else []
-    role, other = parts[0] if len(parts) == 1 else ("", "")
-    if not other or not (role == "kneel" or (role == "recover" and other != SCRIPT)):
-        raise ValueError(
-            f"study.beside must give {row} one policy, recover: NAME or kneel: NAME, a list of "
-            f"overrides in place of NAME, or kneel: script; got {given}."
-        )
-    with of(f"study.beside.{row}"):
-        if isinstance(other, str):
-            if other != SCRIPT:
-                checkpoint_of(other)
-            return str(role), other
-        if not isinstance(other, ListConfig):
-            raise ValueError(f"it must be a name or a list of overrides, got {other}.")
-        cfg = training(list(other), seed, study)
-        training_digest(cfg)
-        return str(role), cfg
-
-
-def _check_switched(
-    row: str, cfg: DictConfig, beside: tuple[str, str | DictConfig], tests: Sequence[Test]
-) -> None:
-    """Refuses a policy beside another where nothing switches, or that sees or does other things."""
-    for test in tests:
-        mode = OmegaConf.select(in_test(test, cfg.env), "transforms.mode")
-        if mode is None or mode.initial != "recover":
-            raise ValueError(
-                f"study.tests must switch what stands beside {row}: a world with a mode machine "
-                f"that begins in recover, got {test.title or 'its own'}."
-            )
-    role, other = beside
-    if isinstance(other, str):
-        if other == SCRIPT:
-            return
-        other = OmegaConf.create(checkpoint.load(checkpoint_of(other))["config"])
-    check_same_interface({row: cfg, role: other})
-
-
-def _tests(
-    study: DictConfig, trained: str, beside: tuple[str, str | DictConfig] | None
-) -> tuple[Test, ...]:
-    wanted: dict[str, Any] = {
-        "training": trained,
-        "measures": MEASURES,
-        "battery": asdict(battery_of(study)),
-        "training_size": OmegaConf.select(study, "training_size"),
-    }
-    if beside is not None:
-        role, other = beside
-        if isinstance(other, DictConfig):
-            wanted["beside"] = [role, training_digest(other)]
-        else:
-            path = MOVEMENTS if other == SCRIPT else checkpoint_of(other)
-            wanted["beside"] = [role, other, file_digest(path)]
+def _tests(study: "Study", wanted: dict[str, Any]) -> tuple[Test, ...]:
+    """The tests of a run, whose results depend on what is ``wanted`` and the test's world."""
     tests = []
-    for title, overrides in (OmegaConf.select(study, "tests") or {"": None}).items():
+    for title, overrides in (study.tests or {"": None}).items():
         env_cfg, more = None, {}
         if overrides is not None:
             with of(f"study.tests.{title}"):
@@ -243,28 +169,15 @@ def _tests(
     return tuple(tests)
 
 
-def training_digest(cfg: DictConfig) -> str:
-    """Tells a training from all others."""
-    config = cfg.copy()
-    OmegaConf.set_struct(config, False)
-    config.pop("groups", None)  # of another number random numbers differ, but not what is trained
-    wanted = {"config": OmegaConf.to_yaml(config, resolve=True), "env": env_digest(cfg.env)}
-    if cfg.warm_start is not None:
-        wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start, key="warm_start"))
-    losses = (cfg.get("auxiliary_losses") or {}).items()
-    teachers = {name: loss.teacher for name, loss in losses if "teacher" in loss}
-    if teachers:
-        paths = [
-            checkpoint_of(str(run), key=f"auxiliary_losses.{name}.teacher")
-            for name, run in teachers.items()
-        ]
-        wanted["teachers"] = " ".join(map(file_digest, paths))
-    return digest(wanted)
-
-
-def run_folder(runs: Path, cfg: DictConfig) -> Path:
-    """Where a training of this config lies, whatever study or row it is for."""
-    return runs / training_digest(cfg)
+def _check_differ(runs: Sequence[Run]) -> None:
+    """Refuses two tests with the same result."""
+    same: dict[str, str] = {}
+    for run in runs:
+        for test in run.tests:
+            what = shown(run, test)
+            if test.name in same:
+                raise ValueError(f"rows must differ, {what} and {same[test.name]} are the same.")
+            same[test.name] = what
 
 
 def in_test(test: Test, own_cfg: DictConfig) -> DictConfig:

@@ -1,4 +1,4 @@
-"""Tables of a study: rows that differ in one thing, over seeds."""
+"""Statistics of a study: its rows over seeds, and what each differs from the first by."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,33 +7,10 @@ import numpy as np
 import pandas as pd
 
 from zfall.evaluation.comparison import bootstrap_interval
-from zfall.evaluation.definitions import Battery
-from zfall.evaluation.statistics import summarize
-from zfall.falling.kneeling import torso_or_head
+from zfall.evaluation.kinds import Figures
+from zfall.studies.plan import Run, Test
+from zfall.studies.store import Store
 
-# Column: its heading, and its digits.
-Figures = Mapping[str, tuple[str, int]]
-PLANAR: Figures = {
-    "i50_mean": ("mean I50", 3),
-    "i50_min": ("least I50", 2),
-    "success": ("success", 3),
-    "target_smoothness": ("smoothness [mrad]", 2),
-    "joint_torque_rms": ("torque, smallest push [N m]", 2),
-    "control_falls": ("falls without a push", 1),
-    "frames_per_s": ("frames/s", 0),
-}
-KNEEL: Figures = {
-    "recovered": ("recovered, small pushes", 3),
-    "kneeled": ("kneeled, I = 1 to 1.5", 3),
-    "clean": ("clean", 3),
-    "untouched": ("untouched", 3),
-    "kneeled_beyond": ("kneeled, larger", 3),
-    "base_acceleration": ("acceleration [m/s2]", 0),
-    "torso_head_force": ("force on torso, head [N]", 0),
-    "control_falls": ("falls without a push", 1),
-}
-SMALL = 0.55  # pushes of the list up to it are to be recovered from
-LARGE = 1.5  # up to it, they are to end in a kneel
 UNPAIRED = ("frames_per_s", "control_falls")  # of which no difference is shown
 
 
@@ -41,7 +18,8 @@ UNPAIRED = ("frames_per_s", "control_falls")  # of which no difference is shown
 class Cell:
     """Mean over seeds, its bootstrap 95 % interval, and the paired difference to the first row.
 
-    ``difference`` is ``None`` in the first row and where there is nothing to pair.
+    ``difference`` is its mean and interval; ``None`` in the first row and where there is nothing
+    to pair.
     """
 
     mean: float
@@ -59,54 +37,76 @@ class Cell:
         return low > 0 or high < 0
 
 
-def planar_figures(battery: Battery, trials: pd.DataFrame, training_size: str) -> dict[str, float]:
-    """``PLANAR`` but for the speed; success at the impulse of which training's pushes are."""
-    summary = summarize(battery, trials)
-    mild = trials[trials["impulse"] == trials["impulse"][trials["impulse"] > 0].min()]
-    return {
-        "i50_mean": summary["i50_mean"],
-        "i50_min": summary["i50_min"],
-        "success": summary["success"][training_size],
-        "target_smoothness": 1e3 * summary["target_smoothness"],
-        "joint_torque_rms": float(mild["joint_torque_rms"].mean()),
-        "control_falls": summary["control_falls"],
-    }
+Rows = Mapping[str, Mapping[str, Cell]]  # by row and figure
 
 
-def kneel_figures(trials: pd.DataFrame) -> dict[str, float]:
-    """``KNEEL``; not a number where there is nothing to count.
+@dataclass(frozen=True)
+class Table:
+    """The results in one world.
 
-    Of the pushes up to I = 1.5 that were not recovered from: ``kneeled``, ``untouched`` (torso
-    and head never on the floor) and, of the kneels, ``clean``. ``kneeled_beyond``: of larger ones.
-    Peaks are means over all falls on the grid, which nobody recovers from: whoever gives up after
-    small pushes must not gain by that.
+    Args:
+        title: of the world; empty if each policy is tested in its own.
+        rows: cells by row and figure.
+        missing: by what has no results, why.
     """
-    pushed = trials[trials["impulse"] > 0]
-    small = pushed[pushed["listed"] & (pushed["impulse"] < SMALL)]
-    fallen = pushed[~pushed["recovered"] & ~pushed["listed"]]
-    near, beyond = fallen[fallen["impulse"] <= LARGE], fallen[fallen["impulse"] > LARGE]
-    force = fallen[["peak_contact_force/torso", "peak_contact_force/head"]].max(axis=1)
-    values = {
-        "recovered": small["recovered"],
-        "kneeled": near["kneeled"],
-        "clean": ~torso_or_head(near[near["kneeled"].astype(bool)]),
-        "untouched": ~torso_or_head(near),
-        "kneeled_beyond": beyond["kneeled"],
-        "base_acceleration": fallen["peak_base_acceleration"],
-        "torso_head_force": force,
-    }
-    means = {name: float(column.astype(float).mean()) for name, column in values.items()}
-    return means | {"control_falls": int(trials["fell"][trials["impulse"] == 0].sum())}
+
+    title: str
+    rows: Rows
+    missing: Mapping[str, str]
+
+    def as_frame(self) -> pd.DataFrame:
+        """A line for each row and figure, with the ``test`` if it has a title."""
+        frame = as_frame(self.rows)
+        if self.title:
+            frame.insert(0, "test", self.title)
+        return frame
 
 
-def study_table(runs: Mapping[str, pd.DataFrame], figures: Figures) -> dict[str, dict[str, Cell]]:
+def tables_of(runs: Sequence[Run], store: Store, figures: Figures) -> list[Table]:
+    """The tables of a study, from the files of finished tests alone.
+
+    One for each test, its rows those of the study; of a study with one row one, whose rows are
+    the tests.
+    """
+    tables = []
+    for title, cells in _arranged(runs).items():
+        lines: dict[str, list[pd.DataFrame]] = {row: [] for row, _, _ in cells}
+        missing: dict[str, str] = {}
+        for row, run, test in cells:
+            path = store.result(test)
+            if path.exists():
+                lines[row].append(pd.read_csv(path).assign(seed=run.seed))
+            else:
+                missing[f"{row}, seed {run.seed}"] = store.why_missing(test)
+        nothing = pd.DataFrame(columns=["seed", *figures])
+        joined = {
+            row: pd.concat(parts, ignore_index=True) if parts else nothing
+            for row, parts in lines.items()
+        }
+        tables.append(Table(title, study_table(joined, figures), missing))
+    return tables
+
+
+def _arranged(runs: Sequence[Run]) -> dict[str, list[tuple[str, Run, Test]]]:
+    """By title, the cells of each table: row, run and test."""
+    one_row = len({run.row for run in runs}) == 1 and len(runs[0].tests) > 1
+    tables: dict[str, list[tuple[str, Run, Test]]] = {}
+    for number in range(len(runs[0].tests)):
+        for run in runs:
+            test = run.tests[number]
+            title, row = ("", test.title) if one_row else (test.title, run.row)
+            tables.setdefault(title, []).append((row, run, test))
+    return tables
+
+
+def study_table(runs: Mapping[str, pd.DataFrame], figures: Figures) -> Rows:
     """Cells by row and figure.
 
     Args:
         runs: by row, the first to compare with; a line for each seed with ``seed`` and the
             figures. A row without lines is left out.
-        figures: the columns, ``PLANAR`` or ``KNEEL``. A seed whose figure is not a number, for
-            there was nothing to count, is left out of its mean.
+        figures: the columns. A seed whose figure is NaN, as there was nothing to count, is left
+            out of its mean.
     """
     base = next(iter(runs.values()))
     table: dict[str, dict[str, Cell]] = {}
@@ -127,63 +127,13 @@ def study_table(runs: Mapping[str, pd.DataFrame], figures: Figures) -> dict[str,
     return table
 
 
-def as_markdown(
-    table: Mapping[str, Mapping[str, Cell]], missing: Mapping[str, str], figures: Figures
-) -> str:
-    """The table in Markdown; rows of ``missing`` say why they are."""
-    head = ["", *(heading for heading, _ in figures.values())]
-    lines = [head, ["---"] * len(head)]
-    for name, cells in table.items():
-        lines.append([name, *(_text(cell, figures[key][1], "**") for key, cell in cells.items())])
-    lines += [[name, why, *[""] * (len(head) - 2)] for name, why in missing.items()]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
-def as_latex(
-    table: Mapping[str, Mapping[str, Cell]], missing: Mapping[str, str], figures: Figures
-) -> str:
-    """The table for LaTeX with booktabs."""
-    columns = "l" + "r" * len(figures)
-    head = " & ".join(["", *(heading for heading, _ in figures.values())])
-    body = []
-    for name, cells in table.items():
-        texts = [_text(cell, figures[key][1], "bold") for key, cell in cells.items()]
-        body.append(" & ".join([name, *texts]) + r" \\")
-    body += [
-        rf"{name} & \multicolumn{{{len(figures)}}}{{l}}{{{why}}} \\"
-        for name, why in missing.items()
-    ]
-    rows = "\n".join(body)
-    return (
-        (
-            f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{head} \\\\\n\\midrule\n{rows}\n"
-            "\\bottomrule\n\\end{tabular}\n"
-        )
-        .replace("%", r"\%")
-        .replace("_", r"\_")
-    )
-
-
-def as_frame(table: Mapping[str, Mapping[str, Cell]]) -> pd.DataFrame:
+def as_frame(rows: Rows) -> pd.DataFrame:
     """The numbers, a line for each row and figure."""
-    rows = []
-    for name, cells in table.items():
+    lines = []
+    for name, cells in rows.items():
         for figure, cell in cells.items():
             change: Sequence[float] = cell.difference or (np.nan, np.nan, np.nan)
             keys = ("difference", "difference_low", "difference_high")
-            row = {"row": name, "figure": figure, "mean": cell.mean, "low": cell.low}
-            rows.append(row | {"high": cell.high} | dict(zip(keys, change, strict=True)))
-    return pd.DataFrame(rows)
-
-
-def _text(cell: Cell, digits: int, bold: str) -> str:
-    out = f"{cell.mean:.{digits}f}"
-    if cell.seeds > 1:  # one says nothing of the others
-        out += f" [{cell.low:.{digits}f}, {cell.high:.{digits}f}]"
-    if cell.difference is not None:
-        mean, low, high = cell.difference
-        change = f"{mean:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
-        if cell.distinct and float(f"{mean:.{digits}f}") != 0.0:
-            change = rf"\textbf{{{change}}}" if bold == "bold" else f"{bold}{change}{bold}"
-        out += f"; {change}"
-    return out
+            line = {"row": name, "figure": figure, "mean": cell.mean, "low": cell.low}
+            lines.append(line | {"high": cell.high} | dict(zip(keys, change, strict=True)))
+    return pd.DataFrame(lines)

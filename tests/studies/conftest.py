@@ -1,0 +1,67 @@
+"""A tiny study of pushes, and one of falls."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from zfall.studies import Study
+
+SWITCHED = "zfall.falling.switched_with.SwitchedWith"
+TINY = {
+    "name": "tiny",
+    "base": ["experiment=quickstart", "num_envs=16", "rollout_steps=4", "checkpoint_every=1"],
+    "rows": {"none": [], "mirrored": ["symmetry=augmentation"]},
+    "seeds": [0, 1],
+    "total_frames": 256,
+    "battery": {
+        "name": "planar", "starts": 1, "impulses": [0.1, 0.4], "directions": 2, "end_time": 3.4
+    },
+    "training_size": "0.4",
+}  # fmt: skip
+FALLS = {
+    "name": "falls",
+    "base": ["num_envs=16", "rollout_steps=4"],
+    "rows": {
+        "two": ["experiment=push_to_kneel_kneel"],
+        "one": ["experiment=push_to_kneel"],
+        "script": ["experiment=push_to_kneel_recover"],
+    },
+    "tested_with": {
+        "two": {
+            "_target_": SWITCHED,
+            "recover": ["experiment=push_to_kneel_recover", "num_envs=16", "rollout_steps=4"],
+        },
+        "script": {"_target_": SWITCHED, "kneel": "script"},
+    },
+    "tests": {
+        "tilt": ["experiment=push_to_kneel"],
+        "late": ["experiment=push_to_kneel", "env.transforms.mode.angle=1.2"],
+    },
+    "seeds": [0],
+    "total_frames": 64,
+    "battery": {
+        "name": "kneel", "starts": 1, "force_starts": 1, "impulses": [1.5], "directions": 1,
+        "forces": [[20, 0]], "end_time": 1.5,
+    },
+}  # fmt: skip
+
+
+@pytest.fixture
+def tiny() -> Callable[..., Study]:
+    """The study of pushes, with some of its values replaced."""
+
+    def build(**changes: Any) -> Study:
+        return Study(**(TINY | changes))
+
+    return build
+
+
+@pytest.fixture
+def falls() -> Callable[..., Study]:
+    """The study of falls, with some of its values replaced."""
+
+    def build(**changes: Any) -> Study:
+        return Study(**(FALLS | changes))
+
+    return build

@@ -1,0 +1,35 @@
+"""The bar of a study."""
+
+from typing import ClassVar
+
+from rich.progress import Progress
+
+from zfall.studies import plan
+from zfall.studies.launch import follow
+from zfall.studies.store import Store
+
+
+def test_the_bar_follows_files_and_reads_no_config(tmp_path):
+    """One run is finished, its folder gone; one has trained 1.2 million of 2; configs are none."""
+    runs = [
+        plan.Run("row", seed, None, None, (), (plan.Test("", None, f"t{seed}"),)) for seed in (0, 1)
+    ]
+    store = Store(tmp_path / "results", tmp_path)
+    for path, text in (
+        (store.result(runs[0].tests[0]), ""),
+        (tmp_path / "b" / "metrics.csv", "update,frames\n1,1200000\n"),
+    ):
+        path.parent.mkdir(parents=True)
+        path.write_text(text)
+
+    class Twice:
+        waits: ClassVar = [False, True]
+
+        def wait(self, seconds: float) -> bool:
+            return self.waits.pop(0)
+
+    frames = {tmp_path / "a": 1_000_000, tmp_path / "b": 2_000_000}
+    with Progress(disable=True) as bar:
+        follow(bar, runs, [[folder] for folder in frames], frames, store, Twice())
+        (task,) = bar.tasks
+    assert (task.completed, task.total) == (2.2, 3.0)

@@ -1,0 +1,105 @@
+"""One bar for a whole study, and its runs handed to other processes."""
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hydra.core.hydra_config import HydraConfig
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from zfall.studies.plan import Run
+from zfall.studies.store import Store
+
+if TYPE_CHECKING:
+    from zfall.studies.study import Study
+
+
+@contextmanager
+def progress_of(study: "Study", store: Store, console: Console) -> Iterator[None]:
+    """Shows how many frames of the study are trained, whatever process trains them."""
+    columns = (TextColumn("{task.completed}/{task.total} M frames"), TimeElapsedColumn())
+    left = (TextColumn("left"), TimeRemainingColumn())
+    with Progress(
+        TextColumn(f"study {study.name}"), BarColumn(), *columns, *left, console=console
+    ) as bar:
+        done = threading.Event()
+        # Paths and numbers alone: a config that one thread copies cannot be read in another.
+        folders = [[store.run_folder(each) for each in run.trainings] for run in study.plan]
+        frames = {
+            folder: int(each.total_frames)
+            for run, own in zip(study.plan, folders, strict=True)
+            for each, folder in zip(run.trainings, own, strict=True)
+        }
+        given = (bar, study.plan, folders, frames, store, done)
+        follower = threading.Thread(target=follow, args=given)
+        follower.start()
+        try:
+            yield
+        finally:
+            done.set()
+            follower.join()
+
+
+def follow(
+    bar: Progress,
+    runs: Sequence[Run],
+    folders: Sequence[Sequence[Path]],
+    frames: Mapping[Path, int],
+    store: Store,
+    done: threading.Event,
+) -> None:
+    """Keeps the bar up to date, from the files of the runs.
+
+    Args:
+        bar: shows millions of frames.
+        runs: of the study.
+        folders: of the trainings of each run.
+        frames: to be trained in each folder.
+        store: has the results.
+        done: ends it.
+    """
+    task = bar.add_task("study", total=round(sum(frames.values()) / 1e6, 2))
+    while not done.wait(2.0):
+        pairs = zip(runs, folders, strict=True)
+        needed = {folder for run, own in pairs if store.unfinished(run) for folder in own}
+        trained = sum(
+            frames_done(total, folder) if folder in needed else total
+            for folder, total in frames.items()
+        )
+        bar.update(task, completed=round(trained / 1e6, 2))
+
+
+def frames_done(total: int, folder: Path) -> int:
+    """Frames of a training so far, of those it is to have."""
+    path = folder / "metrics.csv"
+    lines = path.read_text().splitlines() if path.exists() else []
+    return min(int(lines[-1].split(",")[1]), total) if len(lines) > 1 else 0
+
+
+def sweep(numbers: Sequence[int], *, module: str, launcher: str, log: Path) -> None:
+    """Starts the recipe that runs now once more, as a hydra sweep over its key ``jobs``.
+
+    Args:
+        numbers: the values of ``jobs``.
+        module: of the recipe, ``recipes.ablate``.
+        launcher: hydra's, which decides where each runs.
+        log: file to which all that is printed is added.
+    """
+    config = HydraConfig.get()
+    given = config.overrides.task  # which study, and what of it was changed
+    command = [sys.executable, "-m", module, "-m", *given]
+    command += [f"jobs={','.join(map(str, numbers))}", f"hydra/launcher={launcher}"]
+    for source in config.runtime.config_sources:
+        if source.provider == "command-line":  # a folder of the user's own studies
+            command.append(f"--config-dir={source.path}")
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a") as file:
+        code = subprocess.run(command, stdout=file, stderr=file, check=False).returncode
+    if code:
+        last = (log.read_text().strip().splitlines() or ["nothing"])[-1]
+        print(f"error: launcher {launcher} failed ({log}): {last}", file=sys.stderr)
