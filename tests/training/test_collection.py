@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 
 from zfall.simulation import cpu as simulation
 from zfall.simulation.turns import others_turn
-from zfall.studies.plan import training_digest
+from zfall.studies.store import training_digest
 from zfall.training.collection import Worlds, group_sizes
 
 HARD = ("env=push_recovery_realistic", "env.transforms.limit.seconds=0.3",
