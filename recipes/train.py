@@ -7,7 +7,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from rich.console import Console
 
-from recipes.shell import one_line_errors, start
+from .shell import one_line_errors, start
 from zfall import checkpoint
 from zfall.commands import shell_line, shown_path
 from zfall.evaluation.showcase import show
@@ -70,6 +70,9 @@ def main(cfg: DictConfig) -> None:
         raise SystemExit(130)
     if cfg.showcase:
         show(cfg, learner.policy, untrained, folder, console)
+        if (folder / "video.mp4").exists():
+            for line in run.loggers.log_film(folder / "video.mp4", learner.frames):
+                console.print(line, soft_wrap=True)
     else:
         console.print(f"wrote {shown_path(folder)}", soft_wrap=True)
 

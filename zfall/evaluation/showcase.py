@@ -67,7 +67,8 @@ def show(
         with console.status("video"):
             video(battery, cfg.env, actor, folder / "video.mp4", console)
     console.print(f"run folder: {shown_path(folder)}")
-    console.print("  metrics.csv, timing.csv, tensorboard/, checkpoints/{last,best}.pt")
+    board = "tensorboard/, " if (folder / "tensorboard").is_dir() else ""
+    console.print(f"  metrics.csv, timing.csv, {board}checkpoints/{{last,best}}.pt", soft_wrap=True)
     film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
     console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
     console.print(f"  {write_report(folder).name}")
