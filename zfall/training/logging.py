@@ -72,6 +72,7 @@ def _log_film(logger: Any, film: Any, frames: int) -> None:
     image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=coded)
     summary = Summary(value=[Summary.Value(tag="film", image=image)])
     logger.experiment._get_file_writer().add_summary(summary, frames)
+    logger.experiment.flush()
 
 
 def _filled(value: Any, words: Mapping[str, str], place: str) -> Any:
