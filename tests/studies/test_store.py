@@ -1,5 +1,7 @@
 """What tells trainings apart, and what is known of a test without results."""
 
+import pytest
+
 from zfall.studies import plan
 from zfall.studies.store import Store, training_digest
 
@@ -14,6 +16,14 @@ def test_a_training_depends_on_the_weights_of_its_teacher(compose_config, tmp_pa
         (tmp_path / "checkpoints" / "last.pt").write_bytes(content)
         found.append(training_digest(cfg))
     assert found[0] == found[2] != found[1]
+
+
+@pytest.mark.parametrize(
+    "override", ["name=first", "logger=[]", "logger=[{_target_: mine.Logger, project: balance}]"]
+)
+def test_names_and_loggers_tell_no_trainings_apart(compose_config, override):
+    assert training_digest(compose_config(override)) == training_digest(compose_config())
+    assert training_digest(compose_config("seed=1")) != training_digest(compose_config())
 
 
 def test_the_number_of_groups_tells_no_trainings_apart(compose_config):

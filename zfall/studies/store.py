@@ -82,7 +82,8 @@ def training_digest(cfg: DictConfig) -> str:
     """Tells a training from all others."""
     config = cfg.copy()
     OmegaConf.set_struct(config, False)
-    config.pop("groups", None)  # of another number random numbers differ, but not what is trained
+    for key in ("groups", "name", "logger"):  # they change no result; of groups, random numbers
+        config.pop(key, None)
     wanted = {"config": OmegaConf.to_yaml(config, resolve=True), "env": env_digest(cfg.env)}
     if cfg.warm_start is not None:
         wanted["warm_start"] = file_digest(checkpoint_of(cfg.warm_start, key="warm_start"))
