@@ -5,21 +5,19 @@ import os
 
 import pandas as pd
 import pytest
-import torch
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
-from tensordict import TensorDict
-from torch.testing import assert_close
 
+import zfall
 from tests.shell import SMALL, TINY, run
 from zfall import checkpoint
-from zfall.envs.make import left_out
-from zfall.envs.tables import check_same_interface, keep
-from zfall.evaluation.battery import run_battery
-from zfall.evaluation.candidate import SCRIPTED, held, scripted
+from zfall.evaluation.candidate import (
+    Candidate,
+    load_candidate,
+    load_candidates,
+    read_trials,
+    write_trials,
+)
 from zfall.evaluation.definitions import load_battery
-from zfall.falling.kneel_reference import KneelReference
-from zfall.robots import ZEROTH01
 
 
 def test_checkpoint_of_another_robot_is_refused(trained, tmp_path):
@@ -60,14 +58,6 @@ def test_a_refused_evaluation_leaves_nothing(trained, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_an_evaluation_keeps_on_what_it_is_told_to(compose_config):
-    cfg = compose_config("num_envs=2").env
-    assert {"noise", "delay"} <= set(left_out(cfg.training_only))
-    assert {"noise", "delay"}.isdisjoint(left_out(keep(cfg, ["noise", "delay"]).training_only))
-    with pytest.raises(ValueError, match=r"keep must name what evaluation leaves out .*got action"):
-        keep(cfg, ["action"])
-
-
 def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
     done = run("evaluate", f"run={trained}", *SMALL, 'change=["transforms.action.scale=0.3"]')
     assert done.returncode == 0, done.stderr
@@ -75,50 +65,7 @@ def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
     assert "change must name a value of the env, there is no transforms.action.skale" in bad.stderr
 
 
-def test_a_scripted_kneel_needs_modes(tmp_path):
-    kneel = ["battery=kneel", "impulses=[1.0]", "directions=1", "starts=1", "force_starts=1"]
-    own = [*kneel, f"hydra.run.dir={tmp_path}"]
-    done = run("evaluate", "run=scripted_kneel", *own, "end_time=1.5")
-    assert done.returncode == 0, done.stderr
-    setting = "kneel_directions-1_impulses-1.0_starts-1_force_starts-1_end_time-1.5"
-    path = tmp_path / "evaluation" / setting / "trials.csv"
-    script = pd.read_csv(path)
-    held = run("evaluate", "run=pose_hold", *own, "end_time=1.5")
-    assert held.returncode == 0, held.stderr
-    assert not pd.read_csv(path).equals(script)  # keeps to the stand
-    catch = run("evaluate", "run=scripted_catch", *own, "end_time=1.5")
-    assert catch.returncode == 0, catch.stderr
-    assert not pd.read_csv(path).equals(script)  # other postures
-    null = 'change=["transforms.kneel_reference=null"]'
-    assert run("evaluate", "run=scripted_kneel", *own, null).returncode != 0
-    bad = run("evaluate", "run=scripted_kneel", *own, "env=push_recovery")
-    assert "scripted_kneel needs an env with modes" in bad.stderr
-
-
-def test_a_scripted_kneel_goes_to_the_kneel_however_fast_the_fall(compose_config):
-    """In mode KNEEL, moving at 2 m/s; ``scripted_catch`` goes somewhere else."""
-    cfg = compose_config("env=push_to_kneel", "num_envs=1").env
-    reached = {}
-    for name in SCRIPTED:
-        transforms = instantiate(scripted(cfg, name)).transform
-        reference = next(t for t in transforms if isinstance(t, KneelReference))
-        for _ in range(20):
-            td = TensorDict(
-                {
-                    "mode": torch.tensor([[0.0, 1.0, 0.0]]),
-                    "base_orientation": torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-                    "com_velocity": torch.tensor([[2.0, 0.0, 0.0]]),
-                    "target": reference.stand[None],
-                },
-                [1],
-            )
-            reached[name] = reference.inv(td)["target"][0]
-    kneel = torch.tensor(ZEROTH01.kneel_position)
-    assert_close(reached["scripted_kneel"], kneel.clamp(*reference.range.unbind(-1)))
-    assert (reached["scripted_catch"] - kneel).abs().max() > 0.3
-
-
-def test_baselines_beside_a_policy_meet_its_world(tmp_path):
+def test_baselines_next_to_a_policy_meet_its_world(tmp_path):
     tiny = [*TINY, "env.base_env.physics_dt=0.008"]
     assert run("train", *tiny, f"hydra.run.dir={tmp_path}/one").returncode == 0
     runs = [f"runs=[{tmp_path}/one,pose_hold]", f"hydra.run.dir={tmp_path}/both"]
@@ -128,23 +75,6 @@ def test_baselines_beside_a_policy_meet_its_world(tmp_path):
     assert OmegaConf.create(json.loads(asked.read_text())["env"]).base_env.physics_dt == 0.008
 
 
-def test_a_baseline_in_an_env_with_modes_holds_its_pose(compose_config):
-    """Without an action its reference would go down as soon as the machine says KNEEL."""
-    cfg = compose_config("env=push_to_kneel", "num_envs=2").env
-    times = {"push_time": 0.2, "end_time": 1.0}
-    battery = load_battery("planar", impulses=[1.0], starts=1, directions=2, **times)
-
-    def moved(world):
-        targets = []
-        run_battery(
-            battery, world, None, watch=lambda env, td: targets.append(td["target"].clone())
-        )
-        return (torch.stack(targets) - torch.tensor(ZEROTH01.stand_position)).abs().max()
-
-    assert moved(held(cfg)) < 1e-6
-    assert moved(cfg) > 0.5
-
-
 @pytest.mark.parametrize("name", ["start", "push"])
 def test_starts_and_pushes_of_training_cannot_be_kept_in_a_battery(name):
     done = run("evaluate", "run=best", f"keep=[{name}]")
@@ -152,19 +82,41 @@ def test_starts_and_pushes_of_training_cannot_be_kept_in_a_battery(name):
     assert f"keep must not name {name}: a battery has its own starts and pushes" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "message"),
-    [
-        ({"scale": 0.6, "keys": ["a"]}, {"scale": 0.6, "keys": ["b"]}, r"action.keys, got \['a'\] and \['b'\]"),
-        ({"scale": 0.6}, {"scale": 0.6, "limit": None}, "action.limit, got nothing and None"),
-        ({"in": {"low": 1, "high": 2}}, {"in": {"low": 1, "high": 3}}, "action.in.high, got 2 and 3"),
-    ],
-)  # fmt: skip
-def test_what_differs_between_two_policies_is_named(one, other, message):
-    base = {"base_env": {"control_dt": 0.04}}
-    configs = {
-        name: OmegaConf.create({"env": base | {"transforms": {"action": value, "observation": {}}}})
-        for name, value in (("A", one), ("B", other))
-    }
-    with pytest.raises(ValueError, match=f"A and B must have the same env.transforms.{message}"):
-        check_same_interface(configs)
+def test_a_baseline_meets_the_first_policy_in_whose_world_it_can_act():
+    """``best`` has no modes, ``kneel`` has; the order in which they are named is kept."""
+    names = ["scripted_kneel", "best", "pose_hold", "kneel"]
+    scripted, best, still, kneel = load_candidates(names, change=["base_env.physics_dt=0.008"])
+    assert [scripted.name, best.name, still.name, kneel.name] == names
+    assert still.env_cfg == best.env_cfg
+    assert scripted.env_cfg.transforms.keys() == kneel.env_cfg.transforms.keys()
+    assert all(each.env_cfg.base_env.physics_dt == 0.008 for each in (scripted, best, still, kneel))
+    with pytest.raises(ValueError, match="env .*best"):
+        load_candidates(["best", "pose_hold"], task="zeroth_fall")
+
+
+def test_a_policy_is_taken_as_it_is_or_by_its_name():
+    given, named = load_candidate(zfall.load_policy("best")), load_candidate("best")
+    battery = load_battery("planar", starts=1)
+    conditions = [each.conditions(battery, seed=0, num_envs=64) for each in (given, named)]
+    assert conditions[0] == conditions[1]
+    with pytest.raises(ValueError, match="run .*pose_hold, limp, .*best.*nowhere"):
+        load_candidate("nowhere")
+
+
+def test_trials_are_read_under_the_same_conditions_alone(tmp_path, compose_config):
+    """Another seed, another number of the battery, another world; worlds count with noise only."""
+    battery, cfg = load_battery("planar", starts=1), compose_config("num_envs=2").env
+    plain = Candidate("pose_hold", cfg, None)
+    noisy = plain.keep(["noise"])
+    trials = pd.DataFrame({"trial": [0, 1], "recovered": [True, False]})
+    path = tmp_path / "trials.csv"
+
+    def conditions(candidate=plain, battery=battery, seed=0, num_envs=64):
+        return candidate.conditions(battery, seed=seed, num_envs=num_envs)
+
+    write_trials(path, trials, conditions())
+    assert read_trials(path, conditions()).equals(trials)
+    assert read_trials(path, conditions(num_envs=128)).equals(trials)
+    others = [{"seed": 1}, {"battery": load_battery("planar", starts=2)}, {"candidate": noisy}]
+    assert all(read_trials(path, conditions(**other)) is None for other in others)
+    assert conditions(noisy) != conditions(noisy, num_envs=128)

@@ -1,86 +1,27 @@
-"""Plans of the batteries, against counts and the statistics of what they draw."""
+"""What a battery may be, and what is refused."""
 
-import numpy as np
 import pytest
-import torch
+from omegaconf import OmegaConf
 
-from zfall.evaluation.definitions import load_battery, plan_pushes, plan_trials
-from zfall.robots import ZEROTH01
-
-UNIT = ZEROTH01.impulse_unit
+from zfall.evaluation.definitions import battery_of, load_battery, table_of
 
 
-@pytest.fixture(scope="module")
-def spherical():
-    battery = load_battery("spherical")
-    trials = plan_trials(battery, UNIT, seed=5)
-    return battery, trials, plan_pushes(battery, trials)
+def test_unknown_battery_and_option_are_refused():
+    with pytest.raises(
+        ValueError, match="battery must be one of .*planar, planar_payload.*got 'linear'"
+    ):
+        load_battery("linear")
+    with pytest.raises(ValueError, match="options of battery planar are .*point.*got pont"):
+        load_battery("planar", pont="torso")
 
 
-def test_random_pushes_come_as_often_as_they_should(spherical):
-    """A push, the ticks it acts, then 75 ticks on average until the next."""
-    battery, trials, pushes = spherical
-    for duration in battery.durations:
-        rows = (trials["duration_s"] == duration).to_numpy()
-        count = torch.isfinite(pushes.time[torch.tensor(rows)]).sum(1).double()
-        ticks = np.ceil(duration / 0.04 - 1e-9)
-        expected = 59.0 / (0.04 * (ticks - 1) + 3.0)  # from 1 s to 60 s
-        error = count.std() / len(count) ** 0.5
-        assert abs(count.mean() - expected) < 4 * error + 0.5  # half a push at the open end
-        assert count.std() == pytest.approx(expected**0.5, rel=0.15)
-
-
-def test_random_pushes_neither_overlap_nor_leave_the_ticks(spherical):
-    _, trials, pushes = spherical
-    gap = pushes.time.diff(dim=1)
-    both = torch.isfinite(pushes.time[:, 1:])
-    assert (gap >= pushes.duration[:, 1:] - 1e-9)[both].all()
-    times = pushes.time[torch.isfinite(pushes.time)]
-    assert times.min() >= 1.0
-    assert times.max() < 60.0
-    torch.testing.assert_close(times / 0.04, (times / 0.04).round(), atol=1e-6, rtol=0)
-    assert len(trials) == 3 * 3 * 4 * 50 + 50
-
-
-def test_directions_are_uniform_on_the_sphere_and_sizes_as_asked(spherical):
-    _, trials, pushes = spherical
-    impulse = pushes.force.double().norm(dim=-1) * pushes.duration / UNIT
-    real = torch.isfinite(pushes.time)
-    size = torch.tensor(trials["impulse"].to_numpy(dtype=float))[:, None].expand_as(impulse)
-    torch.testing.assert_close(impulse[real], size[real], atol=1e-5, rtol=1e-5)
-    pushed = real & (size > 0)
-    unit = torch.nn.functional.normalize(pushes.force.double()[pushed], dim=-1)
-    error = 1 / len(unit) ** 0.5
-    assert (unit.mean(0).abs() < 4 * error).all()
-    second = unit.T @ unit / len(unit)
-    assert (second - torch.eye(3) / 3).abs().max() < 4 * error
-
-
-def test_a_trial_draws_from_its_own_seed(spherical):
-    battery, trials, pushes = spherical
-    alone = plan_pushes(battery, trials.iloc[700:701])
-    count = int(torch.isfinite(alone.time).sum())
-    torch.testing.assert_close(pushes.time[700, :count], alone.time[0, :count])
-    torch.testing.assert_close(pushes.force[700, :count], alone.force[0, :count])
-    assert not torch.isfinite(pushes.time[700, count:]).any()
-    other = plan_pushes(battery, trials.iloc[701:702])
-    assert alone.time[0, 0] != other.time[0, 0]
-
-
-def test_kneel_tries_the_listed_forces_and_a_grid():
-    battery = load_battery("kneel")
-    trials = plan_trials(battery, UNIT, seed=0)
-    listed, grid = trials[trials["listed"]], trials[~trials["listed"] & (trials["impulse"] > 0)]
-    assert (grid.groupby("impulse").size() == 108).all()
-    assert len(listed) == 1000
-    force = plan_pushes(battery, listed).force[::100, 0]
-    expected = [[20, 0], [-25, 0], [0, 20], [0, -20], [50, 0], [35, 25], [-45, 20], [90, 0],
-                [-100, 0], [70, 50]]  # fmt: skip
-    torch.testing.assert_close(force[:, :2], torch.tensor(expected).float(), atol=1e-4, rtol=0)
-    sizes = listed["impulse"].iloc[::100].to_numpy()
-    assert sizes[:4].max() < 0.515  # the numbers the project's own table gives
-    assert 0.87 < sizes[4:7].min() < sizes[4:7].max() < 1.02
-    assert 1.74 < sizes[7:].min() < sizes[7:].max() < 2.04
+def test_variants_change_the_physics_and_nothing_else():
+    planar = load_battery("planar")
+    for name in ("planar_slippery", "planar_payload"):
+        variant = load_battery(name)
+        same = {key for key in vars(planar) if getattr(planar, key) == getattr(variant, key)}
+        assert set(vars(planar)) - same <= {"name", "foot_friction", "mass_factor", "load"}
+        assert len(same) < len(vars(planar)) - 1
 
 
 @pytest.mark.parametrize(
@@ -121,17 +62,43 @@ def test_pushes_of_several_durations_are_not_mixed(name):
         load_battery(name, duration=[0.1, 0.4])
 
 
-def test_pushes_may_begin_in_any_physics_step_of_a_control_step():
-    """Ten of them, each as likely: of 960 pushes 96, with a deviation of 9.3."""
-    battery = load_battery("planar", impulses=[1.0], starts=40, directions=24)
-    trials = plan_trials(battery, ZEROTH01.impulse_unit, seed=0)
-    planned = plan_pushes(battery, trials)
-    sooner = planned.sooner(0.04, 0.004, seed=1)
-    steps = (planned.time - sooner.time)[trials["impulse"].to_numpy() > 0] / 0.004
-    torch.testing.assert_close(steps, steps.round(), rtol=0, atol=1e-6)
-    count = torch.bincount(steps.flatten().round().long())
-    assert len(count) == 10
-    assert 96 - 5 * 9.3 < int(count.min()) <= int(count.max()) < 96 + 5 * 9.3
-    assert torch.equal(sooner.force, planned.force)
-    assert torch.equal(planned.sooner(0.04, 0.004, seed=1).time, sooner.time)
-    assert not torch.equal(planned.sooner(0.04, 0.004, seed=2).time, sooner.time)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "zfall.evaluation.kinds.planar.Round"}, "battery.kind .*got zfall.*Round"),
+        ({"measures": ["nowhere.Effort"]}, "battery.measures .*got nowhere.Effort"),
+        ({"measures": "zfall.evaluation.effort.Effort"}, "measures must be a list"),
+        ({"slope": 0.1}, "options of battery planar .*got slope"),
+        ({"max_tilt": "low"}, "max_tilt .*got low"),
+        ({"mass_factor": [0.8]}, r"mass_factor .*got \[0.8\]"),
+        ({"forces": [20, 0]}, r"forces .*got \[20, 0\]"),
+        ({"resolution": 0.1}, "resolution must be null.*Planar.*got 0.1"),
+        ({"interval": 3.0}, "interval must be null.*got 3.0"),
+        ({"forces": [[20, 0]]}, "forces must be null"),
+    ],
+)
+def test_tables_that_make_no_battery_are_refused(change, message):
+    table = OmegaConf.to_container(table_of("planar"))
+    with pytest.raises(ValueError, match=message):
+        battery_of(table | change)
+
+
+def test_a_number_that_is_missing_is_named():
+    table = OmegaConf.to_container(table_of("planar"))
+    table.pop("aftermath")
+    with pytest.raises(ValueError, match="planar must have aftermath"):
+        battery_of(table)
+
+
+@pytest.mark.parametrize(
+    ("battery", "options", "message"),
+    [
+        ("envelope", {"resolution": 3.0}, "resolution must lie between"),
+        ("envelope", {"interval": 1.0}, "interval must be null"),
+        ("spherical", {"interval": None}, "interval must be positive, got None"),
+        ("spherical", {"resolution": 0.1}, "resolution must be null"),
+    ],
+)
+def test_numbers_that_a_kind_does_not_read_are_refused(battery, options, message):
+    with pytest.raises(ValueError, match=message):
+        load_battery(battery, **options)

@@ -4,6 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from tests.evaluation.moments import ENDED, moment
 from zfall.evaluation.effort import Effort
 
 
@@ -19,8 +20,8 @@ def test_sums_over_a_constant_torque_and_speed(make_base):
             },
             [2],
         )
-        effort.update(td, torch.tensor([True, step < 5]))
-    table = effort.table()
+        effort.update(td, moment([True, step < 5]))
+    table = effort.table(ENDED)
     assert table["energy"].tolist() == pytest.approx([8.0, 20 * 0.2])
     assert table["joint_torque_rms"].tolist() == pytest.approx([0.5, 0.5**0.5])
     assert table["target_jerk"].tolist() == [0.0, 0.0]
@@ -37,8 +38,8 @@ def test_saturation_is_the_share_of_torques_at_their_limit(make_base):
         {"joint_torque": torque[None], "joint_velocity": torch.zeros(1, 20),
          "target": torch.zeros(1, 20)}, [1]
     )  # fmt: skip
-    effort.update(td, torch.tensor([True]))
-    assert effort.table()["torque_saturation"].item() == pytest.approx(5 / 20)
+    effort.update(td, moment([True]))
+    assert effort.table(ENDED)["torque_saturation"].item() == pytest.approx(5 / 20)
 
 
 def test_jerk_of_a_cubic_is_its_third_derivative(make_base):
@@ -52,10 +53,10 @@ def test_jerk_of_a_cubic_is_its_third_derivative(make_base):
             {"joint_torque": torch.zeros(1, 20), "joint_velocity": torch.zeros(1, 20),
              "target": target}, [1]
         )  # fmt: skip
-        effort.update(td, torch.tensor([True]))
-    assert effort.table()["target_jerk"].item() == pytest.approx(12 / 20**0.5, rel=1e-2)
+        effort.update(td, moment([True]))
+    assert effort.table(ENDED)["target_jerk"].item() == pytest.approx(12 / 20**0.5, rel=1e-2)
 
 
 def test_a_trial_that_was_over_before_the_push_has_no_effort(make_base):
-    table = Effort(make_base(num_envs=1)).table()
+    table = Effort(make_base(num_envs=1)).table(ENDED)
     assert all(value.isnan().all() for value in table.values())

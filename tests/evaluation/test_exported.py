@@ -10,17 +10,15 @@ import torch
 from omegaconf import OmegaConf
 from torchrl.data import Composite, Unbounded
 
-from recipes.export import describe, export
-from tests.shell import TINY, run
 from zfall.evaluation.battery import battery_env, run_battery
-from zfall.evaluation.candidate import load_run
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.exported import OnnxPolicy, agreement, run_exported
 from zfall.modules.actors import gru_actor
+from zfall.policies.export import describe, export
+from zfall.policies.load import load_policy
 
 BATTERY = load_battery("planar", starts=1, impulses=[0.3, 1.9])
 TRIALS = [0, 12, 24, 30]  # no push; a small one forward; large ones forward and backward
-LATEST = OmegaConf.create({"checkpoint": "last", "env": None, "change": []})
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +26,8 @@ def exported(tmp_path_factory):
     """The policy that ships: config, actor, and what was exported of it."""
     pytest.importorskip("onnxruntime")
     path = tmp_path_factory.mktemp("exported") / "policy.onnx"
-    env_cfg, actor = load_run(LATEST, "best")
+    policy = load_policy("best")
+    env_cfg, actor = policy.config.env, policy.actor
     about = describe(battery_env(BATTERY, env_cfg, 1)[0], actor, env_cfg)
     export(actor, path, size=about["observation_size"])
     return env_cfg, actor, OnnxPolicy(path, json.loads(json.dumps(about)))
@@ -98,24 +97,6 @@ def test_agreement_counts_by_hand():
     assert "to 2e-07 rad" in text
 
 
-def test_a_policy_with_a_memory_from_the_shell(tmp_path, monkeypatch):
-    """Every trial of two directions, three sizes: a policy that has learned nothing holds still."""
-    pytest.importorskip("onnxruntime")
-    trained = run("train", *TINY, "actor=gru_mog", "critic=gru", f"hydra.run.dir={tmp_path}/run")
-    assert trained.returncode == 0, trained.stderr
-    small = load_battery("planar", starts=1, directions=2, impulses=[0.2, 1.5], end_time=4.0)
-    monkeypatch.setattr("recipes.export.load_battery", lambda name, **options: small)
-    done = run("export", f"run={tmp_path}/run", "planar=1", f"hydra.run.dir={tmp_path}/out")
-    assert done.returncode == 0, done.stderr
-    written = [f"{tmp_path}/run/export/{name}" for name in ("policy.onnx", "policy.json")]
-    assert f"docs/drive.py {' '.join(written)}\n" in done.stdout
-    assert not (tmp_path / "out").exists()
-    assert "4 of 4 pushed trials end alike" in done.stdout
-    table = pd.read_csv(tmp_path / "run" / "export" / "planar.csv")
-    assert table["recovered"].tolist() == table["recovered_in_zfall"].tolist()
-    assert table["recovered"].tolist() == [True, True, True, True, False, False]
-
-
 def test_a_memory_is_kept_between_steps_and_lost_at_a_reset(tmp_path):
     """The same observation twice: the second action knows of the first, after a reset none does."""
     pytest.importorskip("onnxruntime")
@@ -131,10 +112,3 @@ def test_a_memory_is_kept_between_steps_and_lost_at_a_reset(tmp_path):
     policy.reset()
     assert np.abs(second - first).max() > 1e-3
     assert policy(seen).tolist() == first.tolist()
-
-
-@pytest.mark.parametrize("value", ["0", "1.5", "true", "abc"])
-def test_starts_that_are_none_are_refused(tmp_path, value):
-    done = run("export", "run=best", f"planar={value}", f"hydra.run.dir={tmp_path}")
-    shown = value.capitalize() if value == "true" else value
-    assert f"planar must be a number of starts per cell, at least 1, got {shown}" in done.stderr

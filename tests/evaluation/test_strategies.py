@@ -4,6 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from tests.evaluation.moments import ended, moment
 from zfall.evaluation.strategies import Strategies
 
 
@@ -23,10 +24,10 @@ def record(num: int = 1, **values: torch.Tensor) -> TensorDict:
 
 def follow(make_base, steps: list[TensorDict]) -> dict[str, torch.Tensor]:
     strategies = Strategies(make_base(num_envs=1))
-    strategies.before(record())
+    strategies.before(record(), moment([True], -0.04))
     for number, td in enumerate(steps, 1):
-        strategies.update(td, torch.tensor([True]), 0.04 * number)
-    return strategies.table(torch.tensor([False]))
+        strategies.update(td, moment([True], 0.04 * number))
+    return strategies.table(ended([False]))
 
 
 def used(table: dict[str, torch.Tensor]) -> set[str]:
@@ -98,7 +99,7 @@ def test_a_step_under_way_at_the_push_counts_from_where_it_began(make_base):
     half, whole = torch.zeros(1, 2, 3), torch.zeros(1, 2, 3)
     half[0, 0, 0], whole[0, 0, 0] = 0.015, 0.03
     strategies = Strategies(make_base(num_envs=1))
-    strategies.before(record())
-    strategies.before(record(feet_contact=lifted, feet_position=half))
-    strategies.update(record(feet_position=whole), torch.tensor([True]), 0.04)
-    assert strategies.table(torch.tensor([False]))["steps"].item() == 1
+    strategies.before(record(), moment([True], -0.08))
+    strategies.before(record(feet_contact=lifted, feet_position=half), moment([True], -0.04))
+    strategies.update(record(feet_position=whole), moment([True], 0.04))
+    assert strategies.table(ended([False]))["steps"].item() == 1

@@ -2,12 +2,11 @@
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 from torch.testing import assert_close
 
 from tests.shell import TINY, run
 from zfall import checkpoint
-from zfall.evaluation.candidate import load_run
+from zfall.policies.load import load_policy
 from zfall.training.learner import Learner
 from zfall.training.warm_start import warm_start
 
@@ -26,7 +25,7 @@ def trained(compose_config, tmp_path):
 def test_the_policy_acts_as_that_run_and_explores_as_configured(trained, compose_config):
     learner = Learner(compose_config("num_envs=8", "rollout_steps=2", "actor.std=0.17", "seed=5"))
     warm_start(learner, str(trained))
-    _, theirs = load_run(OmegaConf.create({"checkpoint": "last"}), str(trained))
+    theirs = load_policy(trained).actor
     td = learner.env.fake_tensordict().select("observation")
     td["observation"] = torch.randn(td["observation"].shape)
     for actor in (learner.actor, learner.policy):

@@ -8,6 +8,7 @@ from hydra.errors import ConfigCompositionException
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.configs import compose_config, options_of
+from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
 
 
@@ -113,6 +114,7 @@ def battery_of(table: DictConfig | Mapping[str, Any], **options: Any) -> Battery
             f"end_time must be later than the end of the push, {over:g} s, got {battery.end_time}."
         )
     kind_of(battery).check(battery)
+    followers_of(battery)
     return battery
 
 

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 from omegaconf import OmegaConf
 
 from tests.block import HALF_HEIGHT, HALF_WIDTH, MASS, block_robot, inertia
-from zfall.evaluation.battery import run_battery
+from zfall.evaluation.candidate import Candidate
 from zfall.evaluation.definitions import load_battery
-from zfall.evaluation.envelope import run_envelope
+from zfall.evaluation.kinds.envelope import Envelope, envelope_table
+from zfall.evaluation.plans import plan_trials
+from zfall.evaluation.run import trials_of
 from zfall.robots import GRAVITY, PushPoint, Robot
 
 
@@ -28,7 +29,8 @@ def test_bisection_finds_thresholds_that_differ_from_cell_to_cell():
         own = threshold(plan) * np.where(start < 3, 1.001, 0.8)
         return plan.assign(recovered=plan["impulse"] < own)
 
-    table, trials = run_envelope(battery, 0, run)
+    trials = Envelope().run(battery, plan_trials(battery, 1.0, seed=0), run)
+    table = envelope_table(trials)
     assert len(table) == 16
     assert (table["largest"] <= threshold(table) * 1.001).all()
     assert (table["smallest_failed"] >= threshold(table)).all()
@@ -40,11 +42,15 @@ def test_bisection_finds_thresholds_that_differ_from_cell_to_cell():
 
 def test_a_policy_that_never_falls_has_no_smallest_that_failed():
     battery = load_battery("envelope", point="torso", directions=2)
-    table, _ = run_envelope(battery, 0, lambda plan: plan.assign(recovered=True))
-    assert (table["largest"] == 2.0).all()
-    assert table["smallest_failed"].isna().all()
-    table, _ = run_envelope(battery, 0, lambda plan: plan.assign(recovered=False))
-    assert (table["largest"] == 0.0).all()
+    plan = plan_trials(battery, 1.0, seed=0)
+    found = {}
+    for recovered in (True, False):
+        trials = Envelope().run(battery, plan, lambda plan: plan.assign(recovered=recovered))  # noqa: B023
+        found[recovered] = envelope_table(trials)
+    assert (found[True]["largest"] == 2.0).all()
+    assert found[True]["smallest_failed"].isna().all()
+    assert (found[False]["largest"] == 0.0).all()
+    assert (found[False]["smallest_failed"] <= 0.02).all()
 
 
 def pushed_block(folder: str, offset: float) -> Robot:
@@ -71,7 +77,7 @@ def test_a_block_tips_at_the_impulse_of_rigid_body_mechanics(tmp_path):
                 "control_dt": 0.01,
                 "physics_dt": 0.001,
                 "robot": {
-                    "_target_": "tests.evaluation.test_envelope.pushed_block",
+                    "_target_": "tests.evaluation.kinds.test_envelope.pushed_block",
                     "folder": str(tmp_path),
                     "offset": height - HALF_HEIGHT,
                 },
@@ -88,9 +94,5 @@ def test_a_block_tips_at_the_impulse_of_rigid_body_mechanics(tmp_path):
         "envelope", point="percussion", directions=4, impulses=[0.4], starts=1, duration=0.004,
         resolution=0.003, start_noise=0.0, push_time=0.1, end_time=1.4,
     )  # fmt: skip
-    table, _ = run_envelope(
-        battery, 0, lambda plan: run_battery(battery, cfg, None, plan=plan, num_envs=64)
-    )
-    np.testing.assert_allclose(table["largest"], impulse, rtol=0.03)
-    with pytest.raises(ValueError, match="resolution must lie between"):
-        load_battery("envelope", resolution=3.0)
+    trials = trials_of(battery, Candidate("pose_hold", cfg, None), num_envs=64)
+    np.testing.assert_allclose(envelope_table(trials)["largest"], impulse, rtol=0.03)

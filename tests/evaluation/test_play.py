@@ -1,0 +1,45 @@
+"""What is measured of how far a policy gets."""
+
+import math
+
+import pytest
+import torch
+from hydra.utils import instantiate
+
+from zfall.envs.make import make_env
+from zfall.envs.tables import keep
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.starts import ScriptedStart
+from zfall.evaluation.play import walk
+
+
+def test_speed_and_distance_are_those_of_a_flight(make_base):
+    """In free fall from 9 m the level velocity stays: a quarter of the worlds face against it."""
+    base = make_base(num_envs=64)
+    heading = torch.full((64,), math.radians(60.0))
+    flip = torch.arange(64) % 4 == 0
+    faces = heading + math.pi * flip
+    zero = torch.zeros(64)
+    start = ScriptedStart(
+        base,
+        states={
+            "base_position": torch.tensor([[1.0, 2.0, 9.0]]).repeat(64, 1),
+            "base_orientation": torch.stack([(faces / 2).cos(), zero, zero, (faces / 2).sin()], -1),
+            "base_linear_velocity": 0.5 * torch.stack([heading.cos(), heading.sin(), zero], -1),
+        },
+    )
+    env = make_env(base, {"action": JointPositionTarget(base, scale=0.6), "start": start})
+    played = walk(env, None, 1.0)
+    assert played.figures["fell"] == 0
+    assert played.figures["seconds"] == pytest.approx(1.0)
+    assert played.figures["forward_velocity"] == pytest.approx(0.5 * (48 - 16) / 64, rel=0.02)
+    assert played.figures["distance"] == pytest.approx(0.5 * (1.0 - base.control_dt), rel=0.02)
+    assert played.states.shape[1] == played.forces.shape[1] == 4
+
+
+@pytest.mark.parametrize("kept", [[], ["push"]])
+def test_pushes_are_there_if_they_are_kept(compose_config, kept):
+    often = ["env.transforms.push.interval=[0.0,0.1]", "num_envs=64"]
+    env = instantiate(keep(compose_config(*often).env, kept), training=False)
+    forces = walk(env, None, 1.0).forces
+    assert (forces != 0).any() == bool(kept)

@@ -1,0 +1,83 @@
+"""What is exported acts as what was trained, also through onnxruntime."""
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import ExplorationType, set_exploration_type
+
+from zfall.evaluation.battery import battery_env
+from zfall.evaluation.definitions import load_battery
+from zfall.modules.actors import gru_actor, mlp_actor
+from zfall.modules.deployed import zero_memory
+from zfall.policies.export import describe, export
+from zfall.policies.load import load_policy
+
+SPEC = Composite(observation=Unbounded((1, 12)), shape=(1,))
+ACTION = Unbounded((1, 5))
+KINDS = {
+    "gaussian": lambda: mlp_actor(SPEC, ACTION, num_cells=[16]),
+    "state_std": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], state_std=True),
+    "mixture_mean": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, statistic="mean"),
+    "shared_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, shared_components=True, statistic="mode"),
+    "gru_mode": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mode"),
+    "gru_residual": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, residual=True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_onnx_acts_as_the_actor_over_ten_seconds(kind, tmp_path):
+    """250 steps in which each feeds on its own memory; observations beyond the normaliser's clip."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    torch.manual_seed(0)
+    actor = KINDS[kind]()
+    for parameter in actor.parameters():  # far from the start, where all means are zero
+        parameter.data += 0.1 * torch.randn_like(parameter)
+    for module in actor.modules():
+        if hasattr(module, "variance"):
+            module.update(3.0 * torch.randn(500, 12) + 1.0)
+    export(actor, tmp_path / "policy.onnx", size=12)
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    memory = zero_memory(actor)
+    own = None if memory is None else memory.numpy()
+    td = TensorDict({"is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
+    if memory is not None:
+        td["recurrent_state_actor"] = memory
+    worst = 0.0
+    for _ in range(250):
+        td["observation"] = 10.0 * torch.randn(1, 12)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            out = actor(td.clone())
+        inputs = {"observation": td["observation"].numpy()}
+        inputs |= {} if own is None else {"memory": own}
+        action, *rest = session.run(None, inputs)
+        worst = max(worst, float(np.abs(action - out["action"].numpy()).max()))
+        if rest:
+            own, td["recurrent_state_actor"] = rest[0], out["next", "recurrent_state_actor"]
+        td["is_init"] = torch.zeros(1, 1, dtype=torch.bool)
+    assert worst < 1e-5
+    assert out["action"].abs().max() > 0.05
+    names = [value.name for value in session.get_inputs()]
+    assert names == (["observation"] if own is None else ["observation", "memory"])
+
+
+def test_units_are_declared_where_a_quantity_is_written(compose_config):
+    """By the table of the base env, and by the transforms that a robot has as well."""
+    keys = ["joint_velocity", "target", "last_action", "command", "imu_orientation"]
+    added = [
+        f"env.transforms.observation.keys=[{','.join(keys)}]",
+        "+env.transforms.command={_target_: zfall.envs.transforms.commands.Command, before: observation}",
+        "+env.transforms.imu={_target_: zfall.envs.transforms.observations.ImuOrientation, before: observation}",
+    ]
+    cfg = compose_config("num_envs=1", *added).env
+    env, _, _ = battery_env(load_battery("planar"), cfg, 1)
+    about = describe(env, load_policy("best").actor, cfg)
+    units = {entry["name"]: entry["unit"] for entry in about["observation"]}
+    assert units == {
+        "joint_velocity": "rad/s",
+        "target": "rad",
+        "last_action": "1",
+        "command": "m/s, m/s, rad, m, rad, rad",
+        "imu_orientation": "1, w x y z, w >= 0",
+    }
