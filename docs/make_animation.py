@@ -1,6 +1,6 @@
-"""Draws docs/pictures/pushed.gif: the policy ``best`` next to the held pose, under the same pushes.
+"""Draws docs/pictures/pushed.gif: the policy ``best`` and ``pose_hold`` under the same pushes.
 
-In the folder of the clone: ``MUJOCO_GL=egl .venv/bin/python docs/make_animation.py``; half a minute.
+``MUJOCO_GL=egl .venv/bin/python docs/make_animation.py`` in the folder of the clone.
 """
 
 import math
