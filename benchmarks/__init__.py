@@ -1,0 +1,1 @@
+"""What others would use on the same work; not installed. ``recipes.bench`` measures it."""

@@ -16,7 +16,6 @@ from typing import Any
 import mujoco
 import torch
 from gymnasium.vector import AsyncVectorEnv
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
@@ -25,6 +24,7 @@ from torchrl.envs import DMControlWrapper, EnvBase, ParallelEnv
 from torchrl.envs.custom.mujoco import MujocoEnv as TorchrlMujocoEnv
 
 from benchmarks.gymnasium_peer import SCALE, SUBSTEPS, GymnasiumPeer
+from zfall.configs import compose_config
 from zfall.envs.dm_task import load
 from zfall.robots import ZEROTH01
 
@@ -42,7 +42,7 @@ def measure_peers(
     Args:
         actions: what a policy did ``(T, N, J)``; worker i repeats column i.
         seconds: of measurement for each number of workers.
-        report: is told the name before each peer starts.
+        report: is called with the name before each peer starts.
     """
     cores = len(os.sched_getaffinity(0))
     peers = {
@@ -59,7 +59,7 @@ def measure_peers(
 
 
 def memory_per_world(few: int = 256, many: int = 1024) -> float:
-    """What a world more takes in env and step [KiB], by the peaks of two processes."""
+    """What one more world takes in env and step [KiB], by the peaks of two processes."""
     spawned = get_context("spawn")
     with ProcessPoolExecutor(1, spawned) as one, ProcessPoolExecutor(1, spawned) as other:
         low, high = (
@@ -70,8 +70,7 @@ def memory_per_world(few: int = 256, many: int = 1024) -> float:
 
 def peak_memory(num_envs: int) -> int:
     """Largest memory of this process in some steps of the quickstart's env [KiB]."""
-    with initialize_config_dir(str(Path(__file__).parent), version_base=None):
-        env = instantiate(compose("train", overrides=[f"num_envs={num_envs}"]).env)
+    env = instantiate(compose_config([f"num_envs={num_envs}"]).env)
     td = env.reset()
     for _ in range(8):
         _, td = env.step_and_maybe_reset(env.rand_action(td))
