@@ -46,7 +46,7 @@ def test_an_evaluation_of_nothing_says_what_there_is(given):
 
 def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, monkeypatch):
     """Cut off after the first of two chunks; the rest is run, and the file is the same."""
-    import recipes.evaluate as recipe
+    from zfall.evaluation import run as library
 
     args = [f"run={trained}", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
             "end_time=3.6", "num_envs=64"]  # fmt: skip
@@ -54,16 +54,16 @@ def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, 
     folder = trained / "evaluation" / setting
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes()
-    write = recipe.write_trials
+    write = library.write_trials
 
-    def cut_off(path, trials, asked):
-        write(path, trials, asked)
+    def cut_off(path, trials, conditions):
+        write(path, trials, conditions)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recipe, "write_trials", cut_off)
+    monkeypatch.setattr(library, "write_trials", cut_off)
     stopped = run("evaluate", *args)
     assert (stopped.returncode, stopped.stderr) == (130, "stopped\n")
-    monkeypatch.setattr(recipe, "write_trials", write)
+    monkeypatch.setattr(library, "write_trials", write)
     assert len(pd.read_csv(folder / "trials.partial.csv")) == 64
     done = run("evaluate", *args)
     assert "goes on after 64 trials" in done.stdout.replace("\n", " ")
@@ -115,11 +115,17 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
     assert run("evaluate", f"run={trained}", *SMALL).returncode == 0
     path = trained / "evaluation" / SMALL_SETTING / "trials.csv"
     before = path.read_bytes()
-    for more in ("keep=[noise]", "seed=7", 'change=["transforms.action.scale=0.3"]'):
+    for more in (
+        "keep=[noise]",
+        "seed=7",
+        "battery.max_tilt=0.3",
+        'change=["transforms.action.scale=0.3"]',
+    ):
         assert run("evaluate", f"run={trained}", *SMALL, more).returncode == 0
         assert path.read_bytes() == before
     names = {path.name for path in (trained / "evaluation").glob(f"{SMALL_SETTING}_*")}
     assert {f"{SMALL_SETTING}_keep-noise", f"{SMALL_SETTING}_seed-7"} <= names
+    assert f"{SMALL_SETTING}_max_tilt-0.3" in names
     assert any(
         "Battery " + name.replace("_", " ") in (trained / "report.html").read_text()
         for name in names
@@ -141,6 +147,12 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
         (["run=best", "starts=abc"], "error: starts must be a whole number, got abc."),
         (["run=best", "impulses=0.4"], "error: impulses must be a list of numbers"),
         (["run=best", "battery=spherical", "resolution=0.1"], "error: resolution must be null"),
+        (["run=best", "battery=linear"], "envelope kneel planar"),
+        (["run=best", "battery.max_tilt=low"], "error: max_tilt must be a number, got low."),
+        (
+            ["run=best", "battery.kind=zfall.evaluation.Round"],
+            "error: battery.kind must name something",
+        ),
     ],
 )
 def test_values_that_make_no_sense_are_refused_in_one_line(given, message):
@@ -155,7 +167,7 @@ def test_run_and_runs_exclude_each_other(trained):
     assert "runs a list of them; got both" in done.stderr
 
 
-def test_envelope_of_a_run_beside_the_held_pose(trained):
+def test_envelope_of_a_run_is_drawn_with_that_of_pose_hold(trained):
     more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
     done = run("evaluate", f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=4.0")
     assert done.returncode == 0, done.stderr
@@ -175,7 +187,7 @@ def test_envelope_of_a_run_beside_the_held_pose(trained):
 
 
 def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypatch):
-    import recipes.evaluate as recipe
+    from zfall.evaluation import run as library
 
     more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
     args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=3.6"]
@@ -186,7 +198,7 @@ def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypat
     )
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()
-    real, labels = recipe.run_battery, []
+    real, labels = library.run_battery, []
 
     def counted(*given, **known):
         labels.append(len(labels))
@@ -194,7 +206,7 @@ def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypat
             raise KeyboardInterrupt
         return real(*given, **known)
 
-    monkeypatch.setattr(recipe, "run_battery", counted)
+    monkeypatch.setattr(library, "run_battery", counted)
     stopped = run("evaluate", *args)
     assert (stopped.returncode, stopped.stderr) == (130, "stopped\n")
     assert len(list((folder / "rounds").glob("*.csv"))) == 2
@@ -234,3 +246,85 @@ def test_of_a_refused_battery_nothing_stays(trained, tmp_path):
     done = run("evaluate", "run=pose_hold", "point=nose", f"hydra.run.dir={folder}")
     assert "point must be a push point" in done.stderr
     assert not folder.exists()
+
+
+USERS = """
+import numpy as np
+
+from zfall.evaluation.kinds.planar import Planar
+from zfall.evaluation.plans import grid
+
+
+class Lean:
+    outcomes = ()
+
+    def __init__(self, env):
+        self.forward = np.zeros(env.num_envs, dtype=bool)
+
+    def before(self, td, now):
+        pass
+
+    def update(self, td, now):
+        self.forward |= (td["projected_gravity"][:, 0] > 0.1).numpy()
+
+    def table(self, ended):
+        import torch
+
+        return {"leant_forward": torch.from_numpy(self.forward)}
+
+
+def plan(battery, impulse_unit, seed):
+    trials = grid(battery, impulse_unit, seed)
+    return trials[trials["impulse"] > 0].reset_index(drop=True)
+
+
+def passed(battery, trials):
+    return {"passed": float(trials["leant_forward"].mean()), "control_falls": 0, "control_n": 0}
+
+
+class Forward:
+    independent, needs_training_size, baseline_task = True, False, "push_recovery"
+    pushes, columns = staticmethod(lambda *a: Planar.pushes(*a)), lambda self, *_: {}
+    plan, summary = staticmethod(plan), staticmethod(passed)
+
+    def check(self, battery):
+        pass
+
+    def background(self, battery):
+        return None
+
+    def write(self, result, folder):
+        from zfall.evaluation.writers import Written
+
+        return Written(shown=[f"passed {result.summary['passed']}"])
+
+
+class Slack:
+    servos = True
+
+    def fits(self, env_cfg):
+        return True
+
+    def world(self, env_cfg):
+        return env_cfg
+"""
+
+
+def test_a_users_battery_and_baseline_are_a_yaml_and_a_class_each(tmp_path, monkeypatch):
+    """Pushed to the front all lean forward, pushed to the back none: one of two trials."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "users_battery.py").write_text(USERS)
+    for group, name, text in (
+        ("battery", "mine", "defaults: [planar, _self_]\nname: mine\nkind: users_battery.Forward\n"
+         "measures: [users_battery.Lean]\nimpulses: [0.9]\nstarts: 1\ndirections: 2\nend_time: 4.0\n"),
+        ("baseline", "slack", "_target_: users_battery.Slack\n"),
+    ):  # fmt: skip
+        (tmp_path / group).mkdir()
+        (tmp_path / group / f"{name}.yaml").write_text(text)
+    out = f"hydra.run.dir={tmp_path}/out"
+    done = run("evaluate", f"--config-dir={tmp_path}", "battery=mine", "run=slack", out)
+    assert done.returncode == 0, done.stderr
+    assert "passed 0.5" in done.stdout
+    trials = pd.read_csv(tmp_path / "out" / "evaluation" / "mine" / "trials.csv")
+    assert trials["leant_forward"].tolist() == [True, False]
+    assert "kneeled" not in trials

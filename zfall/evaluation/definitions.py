@@ -138,7 +138,9 @@ def check_unused(battery: Battery, *keys: str) -> None:
 
 
 def _frozen(value: Any) -> Any:
-    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return value
+    return tuple(map(_frozen, value))
 
 
 def _number(value: Any) -> bool:
