@@ -24,6 +24,13 @@ from zfall.training import build
 from zfall.training.checks import check_finite, check_task, whole_config
 from zfall.training.collection import Worlds
 from zfall.training.losses import buffers_of, check_reads
+from zfall.training.minibatches import (
+    divergence_of,
+    drawn_samples,
+    losses_of,
+    means_of,
+    rows_of,
+)
 
 EXPLORING = 16  # worlds whose exploration is looked at
 
@@ -112,10 +119,10 @@ class Learner:
         while passes < self.cfg.epochs:
             passes, outputs, drawn = passes + 1, [], []
             for rows in torch.randperm(len(data)).tensor_split(self.cfg.minibatches):
-                part = self._prepared(_rows(data, rows))
+                part = self._prepared(rows_of(data, rows))
                 outputs.append(self._step(self._losses_of(part)))
-                drawn.append(_drawn(part))
-            divergence = _divergence(outputs, drawn)
+                drawn.append(drawn_samples(part))
+            divergence = divergence_of(outputs, drawn)
             if self.cfg.loss.kl_stop is not None and divergence > self.cfg.loss.kl_stop:
                 break
         steps = self.cfg.epochs * self.cfg.minibatches
@@ -124,7 +131,7 @@ class Learner:
         self._see(batch)
         self._average.update_parameters(self.actor)
         self.updates += 1
-        return _means(outputs) | {"kl": divergence, "passes": passes}
+        return means_of(outputs) | {"kl": divergence, "passes": passes}
 
     @torch.no_grad()
     def exploration(self, batch: TensorDictBase) -> dict[str, float]:
@@ -193,7 +200,7 @@ class Learner:
         there = dict(zip(wanted, actions, strict=True))
         for loss in auxiliary:
             seen = some.copy().set(loss.companion_key, there[loss]) if loss in there else some
-            out.update(_own_losses(loss, seen))
+            out.update(losses_of(loss, seen))
         return out
 
     def _step(self, out: TensorDictBase) -> dict[str, Tensor]:
@@ -287,38 +294,3 @@ def moving_average(decay: float) -> Callable[..., None]:
         torch._foreach_lerp_(averaged, current, weight)
 
     return update
-
-
-def _rows(data: TensorDictBase, rows: Tensor) -> TensorDictBase:
-    """``data[rows]``, whole rows at once in place of number by number: a third of the time."""
-    shape = [len(rows), *data.shape[1:]]
-    part = data.apply(lambda value: value.index_select(0, rows), batch_size=shape)
-    assert part is not None
-    return part
-
-
-def _own_losses(loss: Any, seen: TensorDictBase) -> TensorDictBase:
-    written = loss(seen)
-    if not any(key.startswith("loss_") for key in written.keys()):
-        raise ValueError(
-            f"{type(loss).__name__} must write a loss under a name that begins with loss_, wrote "
-            f"{', '.join(written.keys()) or 'nothing'}."
-        )
-    return written
-
-
-def _drawn(part: TensorDictBase) -> int:
-    """Samples of a minibatch that the policy drew itself, and no augmentation made."""
-    return part.numel() - int(part.get("mirrored", torch.zeros(1)).sum())
-
-
-def _divergence(outputs: list[dict[str, Tensor]], drawn: list[int]) -> float:
-    """KL divergence of a pass from the policy that collected, mean over what was drawn."""
-    shares = torch.tensor(drawn) / sum(drawn) if any(drawn) else torch.zeros(len(drawn))
-    return float(shares @ torch.stack([out["kl"] for out in outputs]))
-
-
-def _means(outputs: list[dict[str, Tensor]]) -> dict[str, float]:
-    """Means over minibatches."""
-    names = [name for name in outputs[0] if name != "kl_approx"]  # TorchRL's kl, with more noise
-    return {name: torch.stack([out[name] for out in outputs]).mean().item() for name in names}
