@@ -6,7 +6,7 @@ from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 
 from zfall.commands import remove_if_empty, shell_line
@@ -119,8 +119,9 @@ def folder_of(candidate: Candidate, cfg: DictConfig, output: Path) -> Path:
 def setting_of(cfg: DictConfig, options: dict[str, Any]) -> str:
     """Name of the folder of results, from all that was given and changes them."""
     name = HydraConfig.get().runtime.choices["battery"]
-    stored, now = (OmegaConf.to_container(table) for table in (table_of(name), cfg.battery))
-    given = options | {key: v for key, v in now.items() if v != stored[key] and key not in options}
+    stored = table_of(name)
+    differs = {str(key): v for key, v in cfg.battery.items() if v != stored[key]}
+    given = options | {key: v for key, v in differs.items() if key not in options}
     given |= {"change": cfg.change} if cfg.change else {}
     given |= {"keep": sorted(cfg.keep)} if cfg.keep else {}
     given |= {"seed": cfg.seed} if cfg.seed != 0 else {}

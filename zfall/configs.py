@@ -25,8 +25,9 @@ def options_of(group: str) -> list[str]:
 
     Inside a running recipe those of folders that ``--config-dir`` adds are among them.
     """
-    if _recipe_runs():
-        return sorted(GlobalHydra.instance().hydra.config_loader.get_group_options(group))
+    hydra = GlobalHydra.instance().hydra
+    if hydra is not None and _recipe_runs():
+        return sorted(hydra.config_loader.get_group_options(group))
     return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
 
 

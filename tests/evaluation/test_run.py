@@ -65,6 +65,7 @@ def test_a_setting_is_named_by_what_differs_and_never_too_long():
     given = {"point": "pelvis", "impulses": [0.1, 0.2], "seed": 3}
     assert setting_name("planar", given) == "planar_point-pelvis_impulses-0.1,0.2_seed-3"
     assert setting_name("planar", {}) == "planar"
+    assert setting_name("planar", {"aftermath": None}) == "planar_aftermath-None"
     many, more = ({"impulses": [0.1] * n} for n in (50, 51))
     long = setting_name("planar", many)
     assert len(long) < 20

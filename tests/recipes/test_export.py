@@ -99,7 +99,7 @@ def test_a_policy_with_a_memory_from_the_shell(tmp_path, monkeypatch):
     written = [f"{tmp_path}/run/export/{name}" for name in ("policy.onnx", "policy.json")]
     assert f"docs/drive.py {' '.join(written)}\n" in done.stdout
     assert not (tmp_path / "out").exists()
-    assert "4 of 4 pushed trials end alike" in done.stdout
+    assert "4 of 4 pushed trials end the same way" in done.stdout
     table = pd.read_csv(tmp_path / "run" / "export" / "planar.csv")
     assert table["recovered"].tolist() == table["recovered_in_zfall"].tolist()
     assert table["recovered"].tolist() == [True, True, True, True, False, False]

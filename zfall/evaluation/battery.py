@@ -244,7 +244,7 @@ def play(
 ) -> Iterator[TensorDictBase]:
     """Runs the env from a fresh reset, without exploration, and yields what follows each step.
 
-    Without an actor the reference pose is held.
+    Without an actor the servos hold the reference pose.
     """
     act: Any = actor
     if actor is None:

@@ -1,4 +1,4 @@
-"""What a battery tests: a policy in its env, or a baseline; and how its trials are kept on disk."""
+"""What is put to a battery: a policy in its env, or a baseline; and its trials on disk."""
 
 import json
 from collections.abc import Sequence
@@ -104,7 +104,9 @@ def load_candidate(
         return Candidate(run.name, changed(run.config.env, list(change)), run.actor)
     if run in (names := baseline_names()):
         baseline = load_baseline(run)
-        env_cfg = compose_config([f"env={task}", "num_envs=64"]).env if _is_name(task) else task
+        env_cfg: DictConfig = (
+            compose_config([f"env={task}", "num_envs=64"]).env if isinstance(task, str) else task
+        )
         world = baseline.world(changed(env_cfg, list(change)))
         return Candidate(run, world, None, servos=baseline.servos)
     checkpoint_of(run, checkpoint, others=names)  # names the baselines, should there be none
@@ -141,7 +143,7 @@ def load_candidates(
     own = [run for run in runs if isinstance(run, Policy) or run not in known]
     if own and task is not None:
         raise ValueError(
-            f"env must be given for baselines alone, {own[0]} is tested in its own world "
+            f"env must be given for baselines alone, {own[0]} acts in its own world "
             "(change=[...] replaces values of it)."
         )
     policies = [load_candidate(run, checkpoint=checkpoint, change=change) for run in own]
@@ -156,10 +158,6 @@ def load_candidates(
         world = task if task is not None else next(iter(worlds), default_task)
         candidates.append(load_candidate(run, change=change, task=world))
     return [candidate.keep(keep) for candidate in candidates]
-
-
-def _is_name(task: DictConfig | str) -> bool:
-    return isinstance(task, str)
 
 
 def write_trials(path: Path, trials: pd.DataFrame, conditions: dict[str, Any]) -> None:

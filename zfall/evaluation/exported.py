@@ -132,9 +132,9 @@ def agreement(battery: Battery, exported: pd.DataFrame, own: pd.DataFrame) -> st
     """How the pushed trials of both ended, in a few lines: the same trials in the same order."""
     pushed = (exported["impulse"] > 0).to_numpy()
     theirs, ours = (trials["recovered"].to_numpy()[pushed] for trials in (exported, own))
-    alike, more, less = (theirs == ours).sum(), (theirs & ~ours).sum(), (ours & ~theirs).sum()
+    same, more, less = (theirs == ours).sum(), (theirs & ~ours).sum(), (ours & ~theirs).sum()
     lines = [
-        f"{alike} of {len(ours)} pushed trials end alike, {more} are recovered from only as "
+        f"{same} of {len(ours)} pushed trials end the same way, {more} are recovered from only as "
         f"exported, {less} only in zfall"
     ]
     for name, trials in (("as exported", exported), ("in zfall", own)):

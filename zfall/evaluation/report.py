@@ -137,8 +137,8 @@ def _comparison(folder: Path) -> Section:
 
 
 def _tables(folder: Path) -> list[Path]:
-    """Tables to show, those of ``write_table``: a csv next to its Markdown; comparisons first."""
-    paths = [path for path in folder.glob("*.csv") if path.with_suffix(".md").exists()]
+    """Tables to show: all but ``trials.csv`` and traces of single trials; comparisons first."""
+    paths = [path for path in folder.glob("*.csv") if not path.name.startswith("trial")]
     return sorted(paths, key=lambda path: (path.stem != "comparison", path.stem))
 
 

@@ -99,7 +99,7 @@ def trials_of(
 
     Args:
         battery: the definition.
-        candidate: what is tested.
+        candidate: what is put to it.
         seed: of the battery.
         num_envs: worlds that run together, at most.
         console: on which to show progress.
@@ -133,16 +133,16 @@ def trials_of(
                 keep=keep,
             )
 
-    asked = dict(conditions or {})
+    under = dict(conditions or {})
     if kind.independent:
         if folder is None:
             return run(label)
         partial = folder / "trials.partial.csv"
-        finished = read_trials(partial, asked)
+        finished = read_trials(partial, under)
         if finished is not None:
             console.print(f"goes on after {len(finished)} trials of {partial}")
         return run(
-            label, finished=finished, keep=lambda so_far: write_trials(partial, so_far, asked)
+            label, finished=finished, keep=lambda so_far: write_trials(partial, so_far, under)
         )
     numbers = itertools.count()
 
@@ -153,7 +153,7 @@ def trials_of(
             return run(name, plan)
         path = folder / "rounds" / f"{candidate.label}_{number}.csv"
         path.parent.mkdir(exist_ok=True)
-        wanted = asked | {"of": candidate.label, "round": number}
+        wanted = under | {"of": candidate.label, "round": number}
         done = read_trials(path, wanted)
         if done is None:
             done = run(name, plan)
@@ -177,7 +177,7 @@ def run_or_read(
 
     Args:
         battery: the definition.
-        candidate: what is tested.
+        candidate: what is put to it.
         folder: of its results.
         seed: of the battery.
         num_envs: worlds that run together, at most.
@@ -199,8 +199,9 @@ def run_or_read(
     behind = kind_of(battery).background(battery)
     if behind is not None and candidate.actor is not None:
         still, name = candidate.still(), "pose_hold, to compare with"
-        keep = {} if kind_of(behind).independent else {"folder": folder, "conditions": conditions}
-        background = trials_of(behind, still, label=name, **given, **keep)
+        given |= {"label": name, "conditions": conditions}
+        kept = None if kind_of(behind).independent else folder  # a chunk is soon run again
+        background = trials_of(behind, still, folder=kept, **given)
     write_trials(folder / "trials.csv", trials, conditions)
     remove_trials(folder / "trials.partial.csv")
     shutil.rmtree(folder / "rounds", ignore_errors=True)
@@ -218,10 +219,11 @@ def setting_name(battery: str, given: Mapping[str, Any]) -> str:
         battery: its name.
         given: what differs, by key; a list is joined by commas.
     """
-    texts = {
-        key: ",".join(map(str, [value] if isinstance(value, (str, float, int)) else value))
+    lists = {
+        key: [value] if isinstance(value, str) or not isinstance(value, Sequence) else value
         for key, value in given.items()
     }
+    texts = {key: ",".join(map(str, values)) for key, values in lists.items()}
     name = "_".join([battery, *(f"{key}-{text}" for key, text in texts.items())])
     if len(name) > 100 or "/" in name:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]

@@ -87,14 +87,14 @@ class Strategies:
         self.last_motion = torch.where(moving & counted, since_push, self.last_motion)
         self.still = torch.where(counted, ~moving, self.still)
         leaning = contact & (tilt(td["feet_orientation"]) > FOOT_TILT)
-        now = {
+        used = {
             "stepping": landed.any(-1),
             "jumping": ~contact.any(-1),
             "foot_tilting": leaning.any(-1),
             "hip": ((hip - self._hip).abs() > HIP).any(-1),
             "angular_momentum": td["angular_momentum"].norm(dim=-1) > self.momentum,
         }
-        for name, value in now.items():
+        for name, value in used.items():
             self.flags[name] |= value & counted
 
     def table(self, ended: Ended) -> dict[str, Tensor]:

@@ -34,7 +34,7 @@ def film(
     model: mujoco.MjModel,
     rows: dict[str, NDArray[np.float64]],
     columns: list[str],
-    forces: NDArray[np.float64],
+    forces: NDArray[np.floating],
     path: Path,
     *,
     dt: float,

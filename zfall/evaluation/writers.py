@@ -47,7 +47,7 @@ def write_figures(folder: Path, name: str, draw: Callable[[Path], None]) -> list
 
 
 def write_table(folder: Path, name: str, rows: pd.DataFrame) -> list[str]:
-    """Writes a table as csv and Markdown, which the report shows; returns the files' names."""
+    """Writes a table as csv, which the report shows, and Markdown; returns the files' names."""
     rows.to_csv(folder / f"{name}.csv", index=False)
     (folder / f"{name}.md").write_text(markdown(rows))
     return [f"{name}.csv", f"{name}.md"]

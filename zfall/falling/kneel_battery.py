@@ -66,7 +66,7 @@ class Kneel:
         return trials
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
-        """None of its own: those of ``Kneeling`` are measured in every battery."""
+        """None: those of ``Kneeling`` are measured in every battery."""
         return {}
 
     def background(self, battery: Battery) -> Battery | None:

@@ -32,7 +32,7 @@ class Kind(Protocol):
     Attributes:
         independent: whether one plan holds all trials, so that a trial can be run alone and those
             of several policies compare one by one. If not, ``run`` chooses them as it goes.
-        baseline_task: the env of ``recipes/env`` in which baselines are tested if none is given.
+        baseline_task: the env of ``recipes/env`` of baselines if none is given.
         study_figures: by its key, heading and digits of each column of a study's table.
         needs_training_size: whether a study must name one of the impulses as ``training_size``.
     """
@@ -54,7 +54,7 @@ class Kind(Protocol):
     def columns(
         self, pushes: "Pushes", outcomes: "Outcomes"
     ) -> Mapping[str, "NDArray[np.generic]"]:
-        """Columns ``(K,)`` of its own for K trials, besides those of ``measures``.
+        """Columns ``(K,)`` for K trials, after those of ``measures``.
 
         Args:
             pushes: of the K trials.

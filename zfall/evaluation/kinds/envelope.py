@@ -49,7 +49,7 @@ class Envelope:
         check_single(battery, "duration")
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
-        """None of its own."""
+        """None."""
         return {}
 
     def run(

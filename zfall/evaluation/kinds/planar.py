@@ -49,7 +49,7 @@ class Planar:
         check_single(battery, "duration", "point")
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
-        """None of its own."""
+        """None."""
         return {}
 
     def background(self, battery: Battery) -> Battery | None:

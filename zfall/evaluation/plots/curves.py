@@ -76,12 +76,12 @@ def learning_bands(
     axes.tick_params(labelsize=7)
     axes.set_title(title, fontsize=9)
     axes.grid(alpha=0.3)
-    beside: dict[str, Any] = {}
+    place: dict[str, Any] = {}
     if len(groups) > 4:  # so many names would cover what they name
         figure.set_size_inches(5.4, 2.7)
-        beside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+        place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
     what = "mean and 95 % interval (seeds)"
-    axes.legend(fontsize=7, title=what, title_fontsize=7, **beside)
+    axes.legend(fontsize=7, title=what, title_fontsize=7, **place)
     # Without its date, the same curves give the same file.
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
     figure.savefig(path, dpi=300, metadata=metadata)

@@ -15,7 +15,7 @@ from zfall.evaluation.pendulum import CAPTION, Reference
 from zfall.evaluation.statistics import largest_withstood, success_table
 
 TITLE = 44  # characters in a line of a title
-# Told apart without colour.
+# Distinct without colour.
 LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6"),
           ("o-", "0.0"), ("s--", "0.35"), ("^:", "0.5"), ("D-.", "0.6")]  # fmt: skip
 
@@ -151,7 +151,7 @@ def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
 def overlay(
     runs: Mapping[str, pd.DataFrame], path: Path, *, title: str, lines: Sequence[Reference] = ()
 ) -> None:
-    """Polar lines of I50 by direction, one for each run, told apart in grey by their dashes.
+    """Polar lines of I50 by direction, one for each run, grey, each with its own dashes.
 
     Args:
         runs: trials of one planar battery by name.
@@ -189,7 +189,7 @@ def envelope_plot(
     """Largest impulse recovered from by direction, a polar plot for each push point.
 
     Args:
-        tables: of ``run_envelope`` by name of the policy; told apart in grey by their dashes.
+        tables: of ``envelope_table`` by name of the policy; grey, each with its own dashes.
         path: file to write; its ending gives the format.
         title: above the plots.
         lines: drawn besides, in light grey; named in the first plot alone.
