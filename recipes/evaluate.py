@@ -12,7 +12,7 @@ from rich.console import Console
 from zfall.commands import remove_if_empty, shell_line
 from zfall.errors import check_flags, check_keys, check_lists, check_whole
 from zfall.evaluation.baselines import baseline_names
-from zfall.evaluation.candidate import Candidate, load_candidates
+from zfall.evaluation.candidate import load_candidates
 from zfall.evaluation.definitions import Battery, battery_of, table_of
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.report import write_report
@@ -47,7 +47,8 @@ def main(cfg: DictConfig) -> None:
             keep=cfg.keep,
         )
         setting = setting_of(cfg, options)
-        folders = {each.name: folder_of(each, cfg, output) / setting for each in candidates}
+        places = {name: output / name if cfg.runs is not None else output for name in names}
+        folders = {each.name: each.results(places[each.name]) / setting for each in candidates}
         if cfg.trial is not None:
             folder = folders[names[0]] if len(names) == 1 else output
             given = {"seed": cfg.seed, "joint": cfg.joint, "video": cfg.video}
@@ -107,13 +108,6 @@ def names_of(cfg: DictConfig, battery: Battery) -> list[str]:
             f"trial needs a battery whose trials are independent, and no keep; got {battery.name}."
         )
     return [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
-
-
-def folder_of(candidate: Candidate, cfg: DictConfig, output: Path) -> Path:
-    """A run folder keeps its results; those of others go into hydra's."""
-    if candidate.actor is not None and Path(candidate.name).is_dir():
-        return Path(candidate.name) / "evaluation"
-    return (output / candidate.name if cfg.runs is not None else output) / "evaluation"
 
 
 def setting_of(cfg: DictConfig, options: dict[str, Any]) -> str:

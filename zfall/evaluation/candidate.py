@@ -18,7 +18,7 @@ from zfall.evaluation.battery import starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
 from zfall.fingerprints import weights_digest
-from zfall.policies.load import Policy, checkpoint_of, load_policy
+from zfall.policies.load import Policy, checkpoint_of, load_policy, shipped
 from zfall.robots import Robot
 
 
@@ -49,6 +49,11 @@ class Candidate:
     def label(self) -> str:
         """The last part of its name."""
         return Path(self.name).name
+
+    def results(self, elsewhere: Path) -> Path:
+        """Where its results go: a run folder keeps its own, those of others go elsewhere."""
+        own = self.actor is not None and not shipped(self.name).exists()
+        return (Path(self.name) if own else elsewhere) / "evaluation"
 
     def still(self) -> "Candidate":
         """Baseline ``pose_hold`` in the same env."""
