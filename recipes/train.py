@@ -7,7 +7,6 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from rich.console import Console
 
-from .shell import one_line_errors, start
 from zfall import checkpoint
 from zfall.commands import shell_line, shown_path
 from zfall.evaluation.showcase import show
@@ -18,6 +17,8 @@ from zfall.training.learner import Learner
 from zfall.training.loop import number_of_updates, resumed_config, train, try_one_step
 from zfall.training.run_folder import RunFolder, check_version, removed_if_unused, write_config
 from zfall.training.warm_start import warm_start
+
+from .shell import one_line_errors, start
 
 
 @hydra.main(version_base=None, config_path=".", config_name="train")

@@ -4,9 +4,13 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+INSTALLED = (Path(__file__).parent / "recipes").is_dir()  # recipes came in the wheel
+
 
 def shell_line(recipe: str, *arguments: str) -> str:
-    """What to type to start a recipe with the Python that runs now."""
+    """What to type to start a recipe: in a clone with the Python that runs now."""
+    if INSTALLED:
+        return " ".join(["zfall", recipe, *arguments])
     return " ".join([shown_path(Path(sys.executable)), "-m", f"recipes.{recipe}", *arguments])
 
 

@@ -10,10 +10,10 @@ import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
-from recipes.train import resumed_config, train
 from tests.shell import ROOT, TINY, run
 from zfall import checkpoint
 from zfall.training.learner import Learner
+from zfall.training.loop import resumed_config, train
 from zfall.training.run_folder import VERSION, RunFolder
 
 EVENTFUL = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seconds=0.3"]

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from recipes.train import garbage_collector_of_new_things
 from tests.shell import ROOT, TINY, run
+from zfall.training.loop import garbage_collector_of_new_things
 
 
 def test_runs_started_together_have_folders_of_their_own():

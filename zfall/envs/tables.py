@@ -99,14 +99,17 @@ def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:
 
 
 def env_digest(env_cfg: DictConfig) -> str:
-    """Tells a world from all others, by its config, its robot, and the files that it reads.
+    """Identifies an env by its config, its robot, and the files that it reads.
 
     Those are what the classes and functions of the table name by ``reads_files``.
     """
     text, robot = OmegaConf.to_yaml(env_cfg, resolve=True), robot_of(env_cfg)
     read: dict[str, str] = {}
     for node in _targets(OmegaConf.to_container(env_cfg, resolve=True)):
-        paths = getattr(get_object(node["_target_"]), "files_read", None)
+        try:
+            paths = getattr(get_object(node["_target_"]), "files_read", None)
+        except ImportError:  # whoever builds it says so
+            paths = None
         for path in paths(node, robot) if paths else ():
             if path.is_file():  # else its reader says so
                 name = node["_target_"].rpartition(".")[2]

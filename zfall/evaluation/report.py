@@ -14,6 +14,8 @@ import pandas as pd
 from jinja2 import Environment
 from omegaconf import OmegaConf
 
+from zfall.commands import shell_line
+
 PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 CAPTIONS = {
     "learning_curves": "Return, length of episodes, divergence and reward terms over training.",
@@ -147,7 +149,7 @@ def _reproduction(folder: Path, command: str) -> Section:
     overrides = folder / ".hydra" / "overrides.yaml"
     if overrides.exists():
         given = shlex.join(map(str, OmegaConf.load(overrides)))
-        out.notes.append(f".venv/bin/python -m recipes.train {given}")
+        out.notes.append(shell_line("train", given))
     if (folder / "comparison.csv").exists():
         out.notes += [command] if command else []
         summaries = json.loads((folder / "summary.json").read_text())

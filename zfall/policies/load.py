@@ -27,7 +27,7 @@ class Policy:
     Attributes:
         name: a run folder, or the name of a policy that ships.
         actor: reads ``observation`` ``(*B, D)`` and hidden states, writes ``action`` ``(*B, J)``.
-        config: of its training: ``env``, ``actor`` and the rest; what ``changes`` replaced is in it.
+        config: of its training: ``env``, ``actor`` and the rest, with what ``changes`` replaced.
         card: what is known of it, in Markdown; empty of a run folder.
     """
 

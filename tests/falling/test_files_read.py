@@ -1,0 +1,78 @@
+"""A world's digest changes with whatever changes the world, the files that it reads included."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import pytest
+from omegaconf import DictConfig, OmegaConf
+
+from zfall.envs import tables
+from zfall.envs.tables import env_digest
+from zfall.falling import fall_network, files
+from zfall.robots import ZEROTH01
+
+NODES = {  # what reads a file, the key that may name another one, the robot's own
+    "zfall.falling.kneel_reference.KneelReference": ("catches", "catches.npz"),
+    "zfall.falling.falling_start.FallingStart": ("bank", "falls.npz"),
+    "zfall.envs.transforms.starts.ReferenceStart": (None, "motions.npz"),
+    "zfall.falling.fall_network.load_fall_network": ("path", "fall_network.pt"),
+}
+NAMED = [path for path, (key, _) in NODES.items() if key]
+
+
+def world(target: str, **values: str) -> DictConfig:
+    """With the node within a list within another one, which nothing can import."""
+    outer = {"_target_": "some.Other", "parts": [None, {"_target_": target} | values]}
+    return OmegaConf.create({"base_env": {"num_envs": 1}, "transforms": {"one": outer}})
+
+
+@pytest.fixture
+def assets(tmp_path, monkeypatch) -> Path:
+    """A copy of the files that ship, which the digest takes for the robot's own."""
+    folder = shutil.copytree(files.ASSETS, tmp_path / "assets")
+    shutil.copytree(Path(ZEROTH01.mjcf).parent, folder, dirs_exist_ok=True)
+    robot = dataclasses.replace(ZEROTH01, mjcf=str(folder / Path(ZEROTH01.mjcf).name))
+    monkeypatch.setattr(tables, "robot_of", lambda cfg: robot)
+    for module in (files, fall_network):
+        monkeypatch.setattr(module, "ASSETS", folder)
+    return folder
+
+
+@pytest.mark.parametrize("path", NODES)
+def test_the_robots_own_file_counts_by_its_content(path, assets):
+    before = env_digest(world(path))
+    file = assets / f"zeroth01_{NODES[path][1]}"
+    file.write_bytes(file.read_bytes() + b"more")
+    assert env_digest(world(path)) != before
+
+
+@pytest.mark.parametrize("path", NAMED)
+def test_a_file_that_is_named_counts_by_its_content_and_the_robots_own_does_not(
+    path, assets, tmp_path
+):
+    key, ending = NODES[path]
+    file = tmp_path / "recorded.npz"
+    file.write_bytes(b"some")
+    cfg = world(path, **{key: str(file)})
+    before = env_digest(cfg)
+    (assets / f"zeroth01_{ending}").write_bytes(b"unread")
+    assert env_digest(cfg) == before
+    file.write_bytes(b"recorded anew")
+    assert env_digest(cfg) != before
+
+
+def test_a_world_that_reads_none_of_them_does_not_depend_on_them(assets):
+    cfg = OmegaConf.create({"base_env": {}, "transforms": {"one": {"_target_": "a.B", "x": [1]}}})
+    before = env_digest(cfg)
+    for _, ending in NODES.values():
+        (assets / f"zeroth01_{ending}").write_bytes(b"other")
+    assert env_digest(cfg) == before
+
+
+def test_a_network_that_ships_counts_by_its_content_when_it_is_named(assets):
+    name = "zeroth01_fall_network_com_velocity.pt"
+    cfg = world("zfall.falling.fall_network.load_fall_network", path=name)
+    before = env_digest(cfg)
+    (assets / name).write_bytes(b"trained anew")
+    assert env_digest(cfg) != before
