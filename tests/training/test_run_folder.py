@@ -2,6 +2,7 @@
 
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
 from tests.shell import TINY, run
 from zfall.training.run_folder import RunFolder
@@ -32,7 +33,7 @@ def test_a_recipe_that_is_refused_leaves_no_folder(recipe, tmp_path):
 def test_the_best_checkpoint_is_the_hardest_level_then_the_highest_return(tmp_path):
     """Told updates with a return and a level, a save after each; later ones while there are few."""
     saved = []
-    folder = RunFolder(tmp_path)
+    folder = RunFolder(tmp_path, OmegaConf.create({"logger": []}))
     folder.save = lambda learner, name: saved.append((learner, name))
     returns = [*[9.0] * 9, *[1.0] * 10, *[2.0] * 10, *[1.5] * 20]
     for number, value in enumerate(returns):
