@@ -60,7 +60,7 @@ def test_naming_a_task_leaves_the_hydra_around_it_alone(compose_config):
 
     with initialize_config_module("recipes", version_base=None):
         build_task("push_recovery", num_envs=1)
-        assert compose("evaluate").battery == "planar"
+        assert compose("evaluate").battery.name == "planar"
 
 
 def test_no_servo_reaches_further_than_the_largest_action():

@@ -36,8 +36,8 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         task: name of a table of ``recipes/env``, or a table.
         training: whether to keep what the table calls ``training_only``: pushes, noise, delays.
         overrides: values to change in a table named, written as for ``recipes.train``.
-        action_limit: bound of actions that have none of their own, see
-            ``zfall.envs.tasks.ACTION_LIMIT``. It is told to the learner, not enforced.
+        action_limit: bound of actions that have none, see
+            ``zfall.envs.tasks.ACTION_LIMIT``. It is the bound of the action space and not enforced.
         render_mode: ``rgb_array`` or nothing.
 
     Raises:
@@ -208,7 +208,7 @@ def _array(value: torch.Tensor) -> Array:
 
 
 def _info(after: TensorDictBase, worlds: Array) -> Info:
-    """What ``TaskEnv`` tells of a step, for some worlds, each entry beside the mask of them."""
+    """``info`` of a step for some worlds, each entry with a mask ``_NAME`` of these worlds."""
     info: Info = {}
     if not worlds.any():
         return info

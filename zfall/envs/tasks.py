@@ -16,7 +16,7 @@ from zfall.errors import in_one_line
 
 Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
 
-# An action has no bounds of its own, other APIs ask for finite ones. With 0.6 rad for an action
+# An action has no bounds here, other APIs want finite ones. With 0.6 rad for an action
 # of 1, this one turns any servo from its standing angle to the end of its range.
 ACTION_LIMIT = 5.25
 

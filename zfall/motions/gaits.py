@@ -90,7 +90,7 @@ def line(gait: Gait, time: Times) -> Plane:
 
 
 def footstep(gait: Gait, n: NDArray[np.int64]) -> tuple[Plane, NDArray[np.floating]]:
-    """Center and heading [rad] of footsteps: beside the line, where it is at mid-stance."""
+    """Center and heading [rad] of footsteps: next to the line, where that is at mid-stance."""
     time = (n + 0.5) * gait.step_time
     heading = gait.turn_rate * time
     side = np.where(n % 2 == 0, 1j, -1j) * gait.half_width

@@ -171,7 +171,7 @@ def _states(
 
 
 def motions_file(robot: Robot) -> Path:
-    """Where a robot's motions are stored, beside its MJCF."""
+    """Where a robot's motions are stored, next to its MJCF."""
     return Path(robot.mjcf).with_name(f"{robot.name}_motions.npz")
 
 

@@ -166,7 +166,7 @@ class Simulation:
         return self._sensors
 
     def set_fields(self, rows: Tensor, fields: dict[str, NDArray[np.float64]]) -> None:
-        """Gives the worlds in ``rows`` ``(N,)`` bool a model of their own with other values.
+        """Gives each world in ``rows`` ``(N,)`` bool its own model, with other values.
 
         What MuJoCo derives from masses and inertias is computed anew.
 

@@ -113,7 +113,7 @@ class PhysicsSimulation:
 
     Its state is that of the physics and nowhere else: what ``physics.set_state`` or a wrapper of
     dm_control changes, counts. Forces found in ``xfrc_applied``, the viewer's mouse for instance,
-    act besides the wrench and stay there.
+    act in addition to the wrench and stay there.
 
     Args:
         physics: whose model and data are stepped.

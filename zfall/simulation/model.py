@@ -33,8 +33,8 @@ def compile_model(
     Args:
         robot: the robot.
         physics_dt: timestep [s].
-        push_points: points besides those of the robot, by name.
-        ball: a free ball beside the robot, parked out of reach.
+        push_points: points in addition to those of the robot, by name.
+        ball: a free ball next to the robot, parked out of reach.
         servos: whether the actuators act at all; without them the robot is limp.
 
     Raises:

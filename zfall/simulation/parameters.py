@@ -1,4 +1,4 @@
-"""Physical parameters that every world may have of its own."""
+"""Physical parameters that may differ from world to world."""
 
 import math
 from collections.abc import Mapping

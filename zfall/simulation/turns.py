@@ -29,17 +29,16 @@ def physics_first() -> Iterator[None]:
 
 
 def in_turns(tasks: Sequence[Callable[[], T]]) -> list[T]:
-    """Runs tasks that step worlds of their own: the physics of one beside the Python of another.
+    """Runs tasks that take turns: the physics of one runs while Python works for another.
 
-    Python uses one core, and while it does the physics' threads have nothing to do. Here they
-    have: a task hands over to the next one where an env of this package steps its physics, and
-    goes on once that is done and its turn has come again. Turns follow each other in an order that
-    does not depend on how long anything takes: random numbers that the tasks share are drawn alike
-    in every run.
+    Python uses one core, and the physics' threads would wait for it. Here a task hands over to the
+    next one while an env of this package steps its physics. It goes on when that is done and its
+    turn has come again. The order of turns does not depend on how long anything takes, so random
+    numbers that the tasks share are drawn in the same order in every run.
 
-    Each task runs in a thread of its own, with torch's modes as they are in a new thread: it has
-    to switch gradients off itself. What is the same for all threads, as TorchRL's type of
-    exploration, is to be set around the call, not within a task.
+    Each task runs in a new thread with torch's default modes: it has to switch gradients off
+    itself. What holds for all threads, such as TorchRL's type of exploration, is set around the
+    call, not within a task.
 
     Args:
         tasks: each called once, without arguments.

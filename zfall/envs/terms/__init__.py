@@ -14,7 +14,7 @@ from torch import Tensor
 
 
 def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
-    """The term with those of ``known`` that it asks for by name and was not given.
+    """The term with those of ``known`` that it names as parameters and was not given.
 
     A term that was given another one as ``term`` has that one bound, too.
 
@@ -27,8 +27,8 @@ def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
     given = term.keywords if isinstance(term, partial) else {}
     if "term" in given:
         term = partial(term, term=bind(given["term"], **known))
-    asked = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
-    bound = partial(term, **{name: known[name] for name in asked}) if asked else term
+    named = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
+    bound = partial(term, **{name: known[name] for name in named}) if named else term
     name = getattr(getattr(term, "func", term), "__name__", type(term).__name__)
     signature = inspect.signature(bound)
     for parameter in signature.parameters.values():

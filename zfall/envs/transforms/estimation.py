@@ -44,7 +44,9 @@ def steady_update(kalman: KalmanFilter) -> Tensor:
         if np.abs(kalman.K - before).max() <= 1e-12 * np.abs(kalman.K).max():
             break
     else:
-        raise ValueError("the deviations must let the filter settle; these did not in 2e4 steps.")
+        raise ValueError(
+            "the standard deviations must let the filter settle; these did not in 2e4 steps."
+        )
     keep = np.eye(kalman.dim_x) - kalman.K @ kalman.H
     columns = [keep @ kalman.F, kalman.K]
     if kalman.B is not None:
@@ -55,7 +57,7 @@ def steady_update(kalman: KalmanFilter) -> Tensor:
 class TiltKalmanFilter(Transform):
     """Estimates roll, pitch and the gyro's bias from the accelerometer and the gyro.
 
-    Each axis has a filter of its own with the state (angle, bias), the gyro's rate as input and
+    Each axis has its own filter with the state (angle, bias), the gyro's rate as input and
     the accelerometer's angle as measurement::
 
         angle' = angle + control_dt (rate - bias) + noise(gyro_std control_dt)

@@ -15,10 +15,10 @@ from zfall.envs.transforms.values import reset_rows
 class CorrelatedNoise(Transform):
     """Draws noise for the actions of which each control step keeps a part.
 
-    ``noise' = c noise + sqrt(1 - c^2) n`` with n from N(0, 1): of deviation 1 in every step, as
-    white noise is, but half of it is left after ``log(1/2) / log(c)`` steps, so that joints are led
-    somewhere else and not just shaken. Training explores by it wherever it stands in the table
-    (``zfall.modules.exploring.ExploringActor``), for a plain Gaussian alone.
+    ``noise' = c noise + sqrt(1 - c^2) n`` with n from N(0, 1): of standard deviation 1 in every
+    step, as white noise is, but half of it is left after ``log(1/2) / log(c)`` steps, so that
+    joints are led somewhere else and not just shaken. Training explores by it wherever it stands in
+    the table (``zfall.modules.exploring.ExploringActor``), for a plain Gaussian alone.
 
     Keys: writes ``exploration_noise`` ``(N, J)``, anew with every episode.
 

@@ -1,4 +1,4 @@
-"""What the servos are told at each physics step."""
+"""What the servos are commanded at each physics step."""
 
 import torch
 from tensordict import TensorDictBase
@@ -8,7 +8,7 @@ from torch import Tensor
 def read_commands(tensordict: TensorDictBase, substeps: int) -> Tensor:
     """Commands of the coming S physics steps ``(N, S, J)`` [rad].
 
-    ``control`` if an earlier transform wrote it, else ``target`` ``(N, J)``, held.
+    ``control`` if an earlier transform wrote it, else ``target`` ``(N, J)``, in all steps.
     """
     control = tensordict.get("control", None)
     if control is None:

@@ -21,7 +21,7 @@ class JointPositionTarget(Transform):
 
     Keys: reads ``action`` ``(N, J)``, writes ``target`` ``(N, J)`` [rad], for the step and as an
     observation; after a reset it is the reference, in a recorded fall what it was then. The
-    action has no bounds of its own.
+    action has no bounds.
 
     Args:
         env: the base env.

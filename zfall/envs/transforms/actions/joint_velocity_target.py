@@ -20,7 +20,7 @@ class JointVelocityTarget(Transform):
     ``v = limit * clamp(action, -1, 1)`` holds for a control step, in which the target moves by
     ``q(t) = clamp(q(0) + v t, joint range)`` from where it ended before. At the beginning t of
     each tick of the low level (the first one lies at the beginning of the control step) position
-    and velocity are sampled together and held until the next tick. The servo has no input for a
+    and velocity are sampled together and stay until the next tick. The servo has no input for a
     velocity; what its damping would take away is put on the command instead::
 
         command = q(t) + (damping / stiffness) * v(t)
@@ -110,7 +110,7 @@ class JointVelocityTarget(Transform):
         return tensordict.set("control", command)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self.position = tensordict["target"].clone()  # which others may have held back
+        self.position = tensordict["target"].clone()  # which others may have delayed
         return next_tensordict.set("target", tensordict["target"])
 
     def _reset(

@@ -14,8 +14,8 @@ class LowPass(Transform):
     """Smooths the commands by a first-order lag: a filter on the way, or a servo's own lag.
 
     ``y += (1 - exp(-dt / time_constant)) (x - y)`` at every physics step dt, the exact solution of
-    ``time_constant dy/dt = x - y`` for a command x held over the step; the servo gets the value
-    at the end of the step. It begins an episode where the joints are or
+    ``time_constant dy/dt = x - y`` for a command x that is constant over the step; the servo
+    gets the value at the end of the step. It begins an episode where the joints are or
     ``targets_before`` says.
 
     Keys: reads ``control`` ``(N, S, J)`` [rad] if an earlier transform wrote it, else ``target``

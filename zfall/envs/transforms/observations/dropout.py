@@ -17,10 +17,10 @@ from zfall.envs.transforms.values import reset_rows
 
 
 class ObservationDropout(Transform):
-    """Loses the message of a group of sensors now and then: the last one delivered is held.
+    """Loses the message of a group of sensors now and then: the last one delivered stays.
 
-    At every control step, with a probability of its own in each world, all of ``keys`` keep what
-    they were when they last arrived. The measurement after a reset always arrives.
+    At every control step, independently in each world with a given probability, all of ``keys``
+    keep what they were when they last arrived. The measurement after a reset always arrives.
 
     Keys: reads each key, measured so far or true, and writes ``("measured", key)``, of the same
     shape and unit.

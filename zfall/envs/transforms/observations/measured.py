@@ -1,4 +1,4 @@
-"""Where measured values lie beside the true ones."""
+"""Where measured values lie, next to the true ones."""
 
 from collections.abc import Iterable
 

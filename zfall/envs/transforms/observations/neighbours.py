@@ -28,7 +28,7 @@ class CAPSNeighbours(Transform):
         sigma: standard deviation of every component, in the observation's own units; or by name
             of a quantity, which leaves the others as they are.
         keys: quantities of the observation in their order, for a ``sigma`` by name; they are to
-            stand in the data beside it.
+            stand in the data next to it.
 
     Raises:
         ValueError: on a negative sigma, or one that names what is not in ``keys``.

@@ -39,7 +39,7 @@ class ReferenceStart(Transform):
             without motions.
 
     Source: Duburcq et al., "Reactive stepping for humanoid robots using reinforcement learning",
-    IROS 2022, section IV-B. The motions are our own, the deviations of the noise not published.
+    IROS 2022, section IV-B. The motions are our own; the size of the noise is not published.
     """
 
     replaced_in_batteries = True  # by starts of a battery

@@ -1,4 +1,4 @@
-"""Quantities over time, for terms that have no memory of their own."""
+"""Quantities over time, for terms, which have no memory."""
 
 from zfall.envs.transforms.windows.feet_air_time import FeetAirTime
 from zfall.envs.transforms.windows.joint_effort import JointEffort
