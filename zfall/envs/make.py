@@ -48,7 +48,8 @@ def make_env(
     if unknown:
         raise ValueError(
             f"training_only must name transforms of the table ({', '.join(transforms)}), "
-            f"got {', '.join(unknown)}; a transform taken out of the table leaves this list too."
+            f"got {', '.join(unknown)}; a transform that is left out may stay in this list if it "
+            "is null in the table."
         )
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
     ordered = _in_place({k: v for k, v in transforms.items() if v is not None})
