@@ -74,8 +74,9 @@ def main(cfg: DictConfig) -> None:
         write_comparison(results, folder, console)
         command = shell_line("evaluate", *map(shlex.quote, HydraConfig.get().overrides.task))
         console.print(f"wrote {write_report(folder, command)}", soft_wrap=True)
-    for run in (Path(each.name) for each in candidates if each.actor is not None):
-        if folders[str(run)].parents[1] == run:
+    for each in candidates:
+        run = Path(each.name)
+        if each.actor is not None and folders[each.name].parents[1] == run:
             console.print(f"wrote {write_report(run)}", soft_wrap=True)
     remove_if_empty(output)  # the results lie in the run folder
 

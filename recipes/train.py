@@ -71,7 +71,7 @@ def main(cfg: DictConfig) -> None:
         raise SystemExit(130)
     if cfg.showcase:
         show(cfg, learner.policy, untrained, folder, console)
-        if (folder / "video.mp4").exists():
+        if cfg.showcase.video and (folder / "video.mp4").exists():
             for line in run.loggers.log_film(folder / "video.mp4", learner.frames):
                 console.print(line, soft_wrap=True)
     else:

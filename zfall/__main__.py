@@ -32,8 +32,10 @@ def main() -> None:
         near = get_close_matches(name, recipes, n=1)
         hint = f"; did you mean {near[0]}?" if near else "."
         raise SystemExit(f"error: recipe must be one of {', '.join(recipes)}, got {name}{hint}")
-    # An installed zfall holds the recipes; a clone that is not installed has them next to it.
-    package = "zfall.recipes" if find_spec("zfall.recipes") else "recipes"
+    # An installed zfall holds the recipes; a clone has them next to it, whatever is installed.
+    found = find_spec("zfall.recipes")
+    ours = found is not None and found.origin == str(config_folder() / "__init__.py")
+    package = "zfall.recipes" if ours else "recipes"
     sys.argv[0] = f"zfall {name}"
     runpy.run_module(f"{package}.{name}", run_name="__main__", alter_sys=True)
 

@@ -90,7 +90,10 @@ def test_agreement_counts_by_hand():
         base.assign(recovered=[False, True, True, True, False]),
         base.assign(recovered=[True, True, False, False, True]),
     )
-    assert "1 of 4 pushed trials end the same way, 2 are recovered from only as exported, 1 only" in text
+    assert (
+        "1 of 4 pushed trials end the same way, 2 are recovered from only as exported, 1 only"
+        in text
+    )
     assert "as exported: recovered 0.750, I50 mean 0.500, least 0.50, falls without" in text
     assert "in zfall: recovered 0.500, I50 mean 0.500, least 0.50" in text
     assert "a push 1 of 1" in text

@@ -22,7 +22,7 @@ COMMON = ["num_envs=8", "rollout_steps=4", "minibatches=2", "epochs=2", f"total_
 def train(args: list[str]) -> None:
     """``python -m recipes.train ARGS`` in a process of its own."""
     from recipes import train as recipe
-    from zfall.errors import start
+    from recipes.shell import start
 
     torch.set_num_threads(1)  # such small batches gain nothing from more
     sys.argv = ["recipes/train.py", *args]

@@ -99,7 +99,10 @@ def test_a_run_that_came_to_its_end_was_not_stopped(compose_config, tmp_path, mo
             return learn(batch)
 
         monkeypatch.setattr(learner, "learn", press)
-        assert train(learner, RunFolder(tmp_path / str(last), learner.cfg), Console(quiet=True)) == ended
+        assert (
+            train(learner, RunFolder(tmp_path / str(last), learner.cfg), Console(quiet=True))
+            == ended
+        )
 
 
 def test_resuming_leaves_other_folders_alone(trained, tmp_path):

@@ -14,7 +14,7 @@ from zfall.training.loop import garbage_collector_of_new_things
 
 def test_runs_started_together_have_folders_of_their_own():
     """A shell starts several within one second; in one folder they would overwrite each other."""
-    texts = [recipe.read_text() for recipe in (ROOT / "recipes").glob("*.yaml")]
+    texts = [recipe.read_text() for recipe in (ROOT / "recipes").rglob("*.yaml")]
     formats = [item for text in texts for item in re.findall(r"\$\{now:([^}]*)\}", text)]
     assert len(formats) >= 8
     one = datetime(2026, 1, 1, 12)
@@ -96,7 +96,10 @@ BAD = [
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
     (["optimizer.lr=abc"], "optimizer.lr must be a number, at least 0, got abc"),
     (["alike=3"], "alike must divide the 8 worlds of each group (num_envs, groups), got 3"),
-    (["alike=2"], "alike must be env.transforms.falling.alike, here 1 (1 without one), got 2."),
+    (
+        ["alike=2"],
+        "alike must be that of the transform that starts episodes, here 1 (1 without one), got 2.",
+    ),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
     (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
     (
@@ -112,7 +115,9 @@ BAD = [
         "warm_start must be a run folder, or one of atalante, best, best_gru, icub, kneel, kneel_soft, zeroth_fall; there",
     ),
     (
-        ["+env.transforms.reward.terms.mine=[0.1,{_target_:tests.recipes.test_train.row,_partial_:true}]"],
+        [
+            "+env.transforms.reward.terms.mine=[0.1,{_target_:tests.recipes.test_train.row,_partial_:true}]"
+        ],
         "terms.mine must return (2, 1), one number per world, got (2,)",
     ),
     (["total_frames=many"], "total_frames must be a positive number, got many"),

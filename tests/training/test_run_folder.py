@@ -22,7 +22,9 @@ def test_rows_of_metrics_keep_their_columns_when_no_episode_ends(tmp_path):
     assert (metrics["kl"] >= 0).all()
 
 
-@pytest.mark.parametrize("recipe", ["evaluate", "play", "export", "trigger", "falls"])
+@pytest.mark.parametrize(
+    "recipe", ["evaluate", "play", "export", "falling.trigger", "falling.falls"]
+)
 def test_a_recipe_that_is_refused_leaves_no_folder(recipe, tmp_path):
     done = run(recipe, "run=nowhere", f"hydra.run.dir={tmp_path}/new")
     assert done.returncode == 1

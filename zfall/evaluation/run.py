@@ -55,7 +55,8 @@ def evaluate(
         policy: what ``zfall.load_policy`` gives, the name of one, a run folder, or a baseline.
         battery: its name, or what ``load_battery`` gives.
         seed: of the battery.
-        num_envs: worlds that run together, at most; changes no outcome.
+        num_envs: worlds that run together, at most; changes no outcome
+            unless noise or delays are kept on.
         checkpoint: of a run folder, ``last`` or ``best``.
         env: of a baseline, config or name; ``None``: that of the battery's kind.
         change: values of the env to replace, ``["transforms.action.scale=0.5"]``.

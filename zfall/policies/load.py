@@ -66,7 +66,7 @@ def load_policy(
     path = checkpoint_of(str(run), checkpoint)
     content = checkpoints.load(path)
     config = OmegaConf.create(content["config"])
-    config.env = changed(config.env, list(changes))
+    config.env = changed(config.env, changes)
     card = path.with_suffix(".md")
     text = card.read_text() if path.parent == POLICIES and card.is_file() else ""
     return Policy(str(run), policy_of(content, config.env, path), config, text)

@@ -142,8 +142,10 @@ class Learner:
         some = batch[:EXPLORING].select(*self.actor.in_keys)
         with torch.random.fork_rng(devices=[]):  # the entropy of a mixture is drawn
             policy, _ = policy_pass(self.actor, some)
-            figures = {"policy/std": policy.variance.sqrt().mean().item()}
-            with suppress(NotImplementedError):  # not every distribution has one
+            figures = {}
+            with suppress(NotImplementedError):  # not every distribution has them
+                figures["policy/std"] = policy.variance.sqrt().mean().item()
+            with suppress(NotImplementedError):
                 figures["policy/entropy"] = policy.entropy().mean().item()
         return figures
 

@@ -51,10 +51,9 @@ class Loggers:
         """Hands over a film; returns why a logger did not take it, if one did not."""
         refused = []
         with _own_random_numbers():
-            film = imageio.imread(path)  # (T, H, W, 3) uint8
             for logger in self.loggers:
                 try:
-                    _log_film(logger, film, frames)
+                    _log_film(logger, imageio.imread(path), frames)  # (T, H, W, 3) uint8
                 except Exception as error:  # a package that it needs, a format it has not
                     reason = (str(error).splitlines() or [type(error).__name__])[0]
                     refused.append(f"{type(logger).__name__} has no film: {reason}")
@@ -85,7 +84,7 @@ def _filled(value: Any, words: Mapping[str, str], place: str) -> Any:
         return value
     try:
         return value.format(**words)
-    except (KeyError, IndexError, ValueError):
+    except (KeyError, IndexError, ValueError, AttributeError, TypeError):
         known = ", ".join(f"{{{word}}}" for word in words)
         raise ValueError(
             f"{place} must have no words in braces but {known}, got {value}."

@@ -61,10 +61,11 @@ class RunFolder:
 
     def __init__(self, folder: Path, cfg: DictConfig):
         self.folder = folder
-        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK):
             raise PermissionError(f"hydra.run.dir must be writable, {folder} is not.")
         self.loggers = Loggers(cfg.get("logger") or [], folder, cfg.get("name"))
+        (folder / "checkpoints").mkdir(exist_ok=True)  # by which a folder is known to be a run's
         self.last = {"episode_return": math.nan, "episode_seconds": math.nan}
         self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
         self.best: tuple[float, ...] = ()
