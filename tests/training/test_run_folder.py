@@ -46,3 +46,10 @@ def test_the_best_checkpoint_is_the_hardest_level_then_the_highest_return(tmp_pa
     assert best[:10] == list(range(10))  # nine with 9 and one with 1: not to be beaten below
     assert set(best[10:]) == set(range(39, 49))  # until the level counts
     assert [name for number, name in saved if number == 5] == ["best", "last"]
+
+
+def test_a_refused_logger_leaves_nothing_that_looks_like_a_run(tmp_path):
+    logger = {"_target_": "torchrl.record.CSVLogger", "exp_name": "{nme}"}
+    with pytest.raises(ValueError, match=r"logger.0.exp_name .*got \{nme\}"):
+        RunFolder(tmp_path / "run", OmegaConf.create({"logger": [logger]}))
+    assert not (tmp_path / "run" / "checkpoints").exists()
