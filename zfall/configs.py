@@ -3,9 +3,10 @@
 In a clone it lies in ``recipes/`` beside the package, in an installed wheel in ``zfall/recipes``.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -47,6 +48,28 @@ def compose_config(overrides: Sequence[str] = (), recipe: str = "train") -> Dict
         return compose(recipe, overrides=list(overrides))
     with _without_other_hydra(), initialize_config_dir(str(config_folder()), version_base=None):
         return compose(recipe, overrides=list(overrides))
+
+
+def nodes_of(config: Any, place: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """The tables of a config that name a class or function, outer ones first.
+
+    Args:
+        config: plain containers, as ``OmegaConf.to_container(cfg, resolve=True)`` gives.
+        place: full key of ``config`` itself.
+
+    Yields:
+        Full key and table of each that has a ``_target_``; entries of lists have numbers as keys.
+    """
+    if isinstance(config, Mapping):
+        if "_target_" in config:
+            yield place, config
+        entries = [(str(key), value) for key, value in config.items()]
+    elif isinstance(config, list | tuple):
+        entries = [(str(number), value) for number, value in enumerate(config)]
+    else:
+        return
+    for key, value in entries:
+        yield from nodes_of(value, f"{place}.{key}" if place else key)
 
 
 def _recipe_runs() -> bool:

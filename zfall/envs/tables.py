@@ -6,6 +6,7 @@ from typing import Any
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from zfall.configs import nodes_of
 from zfall.fingerprints import digest, file_digest
 from zfall.robots import ZEROTH01, Robot
 from zfall.simulation.model import identity_of
@@ -105,23 +106,13 @@ def env_digest(env_cfg: DictConfig) -> str:
     """
     text, robot = OmegaConf.to_yaml(env_cfg, resolve=True), robot_of(env_cfg)
     read: dict[str, str] = {}
-    for node in _targets(OmegaConf.to_container(env_cfg, resolve=True)):
+    for _, node in nodes_of(OmegaConf.to_container(env_cfg, resolve=True)):
         try:
-            paths = getattr(get_object(node["_target_"]), "files_read", None)
-        except ImportError:  # whoever builds it says so
+            paths = getattr(get_object(str(node["_target_"])), "files_read", None)
+        except (ImportError, ValueError):  # whoever builds it says so
             paths = None
         for path in paths(node, robot) if paths else ():
             if path.is_file():  # else its reader says so
                 name = node["_target_"].rpartition(".")[2]
                 read[name] = read.get(name, "") + file_digest(path)
     return digest({"env": text, "robot": identity_of(robot), "files": read})
-
-
-def _targets(value: Any) -> list[dict[str, Any]]:
-    """All parts of a config that name a class or function."""
-    if isinstance(value, list):
-        return [node for entry in value for node in _targets(entry)]
-    if not isinstance(value, dict):
-        return []
-    own = [value] if isinstance(value.get("_target_"), str) else []
-    return own + [node for entry in value.values() for node in _targets(entry)]
