@@ -59,7 +59,8 @@ def HumanoidStep(base, td):
 
 def test_transform_of_a_user_can_be_named_from_yaml(compose_config):
     cfg = compose_config(
-        "num_envs=2", "+env.transforms.mine={_target_: tests.envs.test_make.DoubleTarget}"
+        "num_envs=2",
+        "+env.transforms.mine={_target_: tests.envs.test_make.DoubleTarget,before: delay}",
     )
     env = instantiate(cfg.env)
     assert any(isinstance(t, DoubleTarget) for t in env.transform)

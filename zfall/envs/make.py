@@ -13,6 +13,7 @@ from torchrl.data import Composite
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.commands import check_order
 
 
 def make_env(
@@ -40,8 +41,8 @@ def make_env(
 
     Raises:
         ValueError: if ``training_only`` or ``before`` names a transform that is not in the table,
-            something is measured after the observation that should hold it, or a transform writes
-            a key that it does not declare.
+            a transform acts on commands before they are made, something is measured after the
+            observation that should hold it, or a transform writes a key that it does not declare.
     """
     training_only = left_out(training_only)
     unknown = [name for name in training_only if name not in transforms]
@@ -58,6 +59,7 @@ def make_env(
     for transform in built.values():
         if hasattr(transform, "attach"):
             transform.attach(built)
+    check_order((f"transforms.{name}", transform) for name, transform in built.items())
     before = [transform for transform in built.values() if transform.in_keys_inv]
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     if "substeps" in env.observation_spec.keys():

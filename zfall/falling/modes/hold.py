@@ -26,7 +26,8 @@ class StableHold(Transform):
     held: Tensor
 
     def __init__(self, env: HumanoidEnv):
-        super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
+        keys = ["target", "control"]
+        super().__init__(in_keys_inv=keys, out_keys_inv=keys)
         self.register_buffer("held", env.stand_position.repeat(env.num_envs, 1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -10,7 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.actions.commands import targets_before
+from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.values import per_world
 
 
@@ -28,7 +28,8 @@ class JointPositionTarget(Transform):
         scale: angle of an action of 1 [rad].
 
     Raises:
-        ValueError: if ``scale`` is not positive.
+        ValueError: if ``scale`` is not positive; at a reset or in a step, if a transform acts on
+            commands before this one makes them.
     """
 
     units: ClassVar[Mapping[str, str]] = {"target": "rad"}
@@ -49,6 +50,7 @@ class JointPositionTarget(Transform):
         return (pose - self.reference) / self.scale
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        refuse_commands(self, tensordict)
         low, high = self.range.unbind(-1)
         target = self.reference + per_world(self.scale, 2) * tensordict["action"]
         return tensordict.set("target", torch.clamp(target, low, high))
@@ -59,6 +61,7 @@ class JointPositionTarget(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        check_chain(self)
         target = self.reference.expand(*tensordict_reset.batch_size, -1).clone()
         return tensordict_reset.set("target", targets_before(tensordict, target))
 

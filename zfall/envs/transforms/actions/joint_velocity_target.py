@@ -10,7 +10,7 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.actions.commands import targets_before
+from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -44,7 +44,8 @@ class JointVelocityTarget(Transform):
 
     Raises:
         ValueError: if ``limit`` is not positive, or a tick is not a whole number of physics
-            steps, or a control step not one of ticks.
+            steps, or a control step not one of ticks; at a reset or in a step, if a transform acts
+            on commands before this one makes them.
 
     Source: velocities integrated into position targets, and these alone: Ferigo et al., "On the
     emergence of whole-body strategies from humanoid robot push-recovery learning", RA-L 2021,
@@ -96,6 +97,7 @@ class JointVelocityTarget(Transform):
         return (speed / per_world(self.limit, 2)).clamp(-1.0, 1.0)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        refuse_commands(self, tensordict)
         low, high = self.range.unbind(-1)
         velocity = tensordict["action"].clamp(-1.0, 1.0) * per_world(self.limit, 2)
         velocity, start = velocity[:, None], self.position[:, None]
@@ -116,6 +118,7 @@ class JointVelocityTarget(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        check_chain(self)
         rows = reset_rows(tensordict)
         start = targets_before(tensordict, tensordict_reset["joint_position"])
         start = start.clamp(*self.range.unbind(-1))
