@@ -25,7 +25,7 @@ from .shell import one_line_errors, start
 OPTIONS = ["point", "duration", "directions", "impulses", "starts", "force_starts", "resolution"]
 OPTIONS += ["end_time"]
 KEYS = {"run", "runs", "battery", "checkpoint", "num_envs", "seed", "env", "keep", "trial", "video"}
-KEYS |= {"joint", "change", *OPTIONS}
+KEYS |= {"joint", "servo", "change", *OPTIONS}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
@@ -43,7 +43,7 @@ def main(cfg: DictConfig) -> None:
             task=cfg.get("env"),
             default_task=kind_of(battery).baseline_task,
             checkpoint=cfg.checkpoint,
-            change=cfg.change,
+            change=[*([] if cfg.servo is None else [f"servo={cfg.servo}"]), *cfg.change],
             keep=cfg.keep,
         )
         setting = setting_of(cfg, options)
@@ -117,6 +117,7 @@ def setting_of(cfg: DictConfig, options: dict[str, Any]) -> str:
     stored = table_of(name)
     differs = {str(key): v for key, v in cfg.battery.items() if v != stored[key]}
     given = options | {key: v for key, v in differs.items() if key not in options}
+    given |= {"servo": cfg.servo} if cfg.servo is not None else {}
     given |= {"change": cfg.change} if cfg.change else {}
     given |= {"keep": sorted(cfg.keep)} if cfg.keep else {}
     given |= {"seed": cfg.seed} if cfg.seed != 0 else {}

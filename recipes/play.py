@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -24,7 +25,7 @@ from zfall.modules.actors import recurrent_keys
 
 from .shell import one_line_errors, start
 
-KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "video"}
+KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "servo", "video"}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -34,11 +35,12 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_values(cfg)
         task = cfg.get("env")
-        given = {} if task is None else {"task": task}
+        given: dict[str, Any] = {} if task is None else {"task": task}
+        given |= {} if cfg.servo is None else {"change": [f"servo={cfg.servo}"]}
         player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, **given)
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
-        world = {"num_envs": worlds, "servos": player.servos}
+        world = {"num_envs": worlds, "powered": player.servos}
         env = instantiate(env_cfg, base_env=world, training=False)
         if not cfg.seconds >= (step := env.base_env.control_dt):
             raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")

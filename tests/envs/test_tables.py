@@ -1,10 +1,15 @@
 """What may be changed in the table of a task, what two of them must share, what classes declare."""
 
+from dataclasses import replace
+
 import pytest
+from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from zfall.configs import options_of
 from zfall.envs.make import left_out
-from zfall.envs.tables import check_same_interface, declaring, keep
+from zfall.envs.tables import changed, check_same_interface, declaring, env_digest, keep
+from zfall.robots.servos import STS3250, datasheets
 
 
 def test_what_evaluation_leaves_out_can_be_kept_by_its_name(compose_config):
@@ -41,3 +46,51 @@ def test_transforms_are_known_by_what_their_class_declares(compose_config):
     assert "kneel_reference" in declaring(kneel, "acts_by_itself")
     kneel.transforms.kneel_reference = None  # what is taken out declares nothing
     assert "kneel_reference" not in declaring(kneel, "acts_by_itself")
+
+
+@pytest.mark.parametrize("task", options_of("env"))
+def test_every_task_takes_the_servos_of_the_sheets(compose_config, task):
+    """The legs then give 4.99 N m in place of 8.45, friction included."""
+    limits = []
+    for servos in ("published", "datasheet"):
+        cfg = compose_config(f"env={task}", f"servo={servos}", "num_envs=1").env
+        model = instantiate(cfg.base_env, _convert_="all").simulation.model
+        limits.append(float(model.actuator("left_knee_pitch").forcerange[1]))
+    assert limits == pytest.approx([8.4546, 4.9033 + 0.0873], rel=1e-4)
+
+
+def test_published_servos_add_nothing_to_the_config(compose_config):
+    """So that runs from before there was a choice stay what they are."""
+    assert "servos" not in compose_config().env.base_env
+    assert compose_config("servo=published") == compose_config()
+
+
+def test_one_joint_takes_another_servo_or_gain_by_one_value(compose_config):
+    place = "env.base_env.servos.left_knee_pitch"
+    cfg = compose_config("servo=datasheet", f"{place}.kp=22", "num_envs=1").env
+    servos = instantiate(cfg.base_env, _convert_="all").servos
+    assert (servos["left_knee_pitch"].kp, servos["right_knee_pitch"].kp) == (22, 32)
+    cfg = compose_config("servo=datasheet", f"{place}.name=STS3215").env
+    servos = instantiate(cfg.base_env, num_envs=1, _convert_="all").servos
+    assert servos["left_knee_pitch"].stall_torque == pytest.approx(2.942, abs=1e-3)
+
+
+def test_servos_can_be_changed_in_the_table_of_a_run(compose_config):
+    env = compose_config().env
+    sheet = changed(env, ["servo=datasheet", "base_env.servos.left_knee_pitch.kp=22"])
+    assert sheet.base_env.servos.left_knee_pitch.kp == 22
+    assert "servos" not in env.base_env
+    assert changed(sheet, ["servo=published"]) == env
+    with pytest.raises(ValueError, match="servo must be one of datasheet, published, got 'mine'"):
+        changed(env, ["servo=mine"])
+    with pytest.raises(ValueError, match="there is no base_env.servos.left_knee_pitch.kp"):
+        changed(env, ["base_env.servos.left_knee_pitch.kp=22"])
+
+
+def test_worlds_with_other_servos_are_told_apart(compose_config, monkeypatch):
+    plain, sheet = (compose_config(f"servo={name}").env for name in ("published", "datasheet"))
+    assert env_digest(plain) != env_digest(sheet)
+    before = env_digest(sheet)
+    weaker = replace(STS3250, stall_torque=4.5)
+    monkeypatch.setattr(datasheets, "SERVOS", {**datasheets.SERVOS, "STS3250": weaker})
+    assert env_digest(sheet) != before  # a number of the package that was corrected, for instance

@@ -20,7 +20,11 @@ def test_a_battery_runs_on_the_nominal_robot_with_its_own_pushes_alone(compose_c
     env, _, _ = battery_env(load_battery("planar"), cfg, 2)
     base = env.base_env
     env.reset()
-    assert all(model is base.simulation.model for model in base.simulation._models)
+    models = [base.simulation.model_of(world) for world in range(2)]
+    for field in ("body_mass", "geom_friction", "actuator_gainprm", "dof_damping"):
+        assert all(
+            (getattr(m, field) == getattr(base.simulation.model, field)).all() for m in models
+        )
     made = {type(t).__name__ for t in env.transform}
     assert made.isdisjoint({"RandomPush", "VelocityKick", "ThrownBall", "ObservationNoise"})
     assert made.isdisjoint({"ActuatorDelay", "DomainRandomization", "Curriculum", "NoisyStart"})

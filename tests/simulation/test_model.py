@@ -73,8 +73,8 @@ def test_push_targets_name_points_and_links():
 
 def test_limp_robot_falls_where_a_powered_one_stands():
     heights = []
-    for servos in (True, False):
-        model = compile_model(ZEROTH01, physics_dt=0.004, servos=servos)
+    for powered in (True, False):
+        model = compile_model(ZEROTH01, physics_dt=0.004, powered=powered)
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
         for _ in range(500):

@@ -46,7 +46,7 @@ def test_masses_and_payload_give_the_model_that_compiling_them_gives(make_base):
     for joint in spec.joints[1:]:
         joint.armature = 0.5 * float(plain.joint(joint.name).armature[0])
     expected = spec.compile()
-    ours, untouched = base.simulation._models[1], base.simulation._models[0]
+    ours, untouched = base.simulation.model_of(1), base.simulation.model_of(0)
     for field in ("body_mass", "body_inertia", "body_ipos", "dof_armature", *DERIVED):
         np.testing.assert_allclose(
             getattr(ours, field), getattr(expected, field), rtol=1e-6, atol=1e-9, err_msg=field
@@ -84,7 +84,7 @@ def test_joints_servos_and_friction_give_the_model_that_editing_the_mjcf_gives(m
         if plain.body(body.name).mass[0] > 0:
             body.explicitinertial = True
             body.ipos = np.add(plain.body(body.name).ipos, [0.01, 0.0, -0.02])
-    expected, ours = spec.compile(), base.simulation._models[0]
+    expected, ours = spec.compile(), base.simulation.model_of(0)
     for field in ("dof_frictionloss", "dof_damping", "actuator_gainprm", "actuator_biasprm"):
         np.testing.assert_allclose(
             getattr(ours, field), getattr(expected, field), rtol=1e-6, err_msg=field
@@ -204,7 +204,8 @@ def test_only_masked_rows_change_and_the_state_restores_them(make_base):
     assert_close(base.parameters.values["foot_friction"], torch.tensor([[0.2], [1.0], [0.6]]))
     other = make_base(num_envs=3)
     other.load_state_dict(base.state_dict())
-    for one, two in zip(base.simulation._models, other.simulation._models, strict=True):
+    for world in range(3):
+        one, two = base.simulation.model_of(world), other.simulation.model_of(world)
         np.testing.assert_array_equal(one.geom_friction, two.geom_friction)
 
 

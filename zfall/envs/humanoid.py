@@ -1,6 +1,6 @@
 """The base env: named physical quantities out, servo targets and forces in."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from zfall.envs.ball_state import BallState
 from zfall.envs.forces import StepForces
 from zfall.envs.placing import Placing, start_of
 from zfall.robots import ZEROTH01, Ball, PushPoint, Robot
+from zfall.robots.servos import Servo
 from zfall.simulation.compiled import sound
 from zfall.simulation.cpu import Simulation
 from zfall.simulation.model import (
@@ -54,9 +55,8 @@ class HumanoidEnv(EnvBase):
 
     ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
     its TensorDict say, see ``Placing``. A task's env, as ``make_env`` builds it, is started by
-    its transforms, ``ScriptedStart`` for instance: TorchRL passes it nothing else.
-
-    After ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
+    its transforms, ``ScriptedStart`` for instance: TorchRL passes it nothing else. After
+    ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
 
     Args:
         num_envs: number of worlds N.
@@ -65,7 +65,8 @@ class HumanoidEnv(EnvBase):
         robot: the robot.
         push_points: points for pushes in addition to the robot's, by name.
         ball: a ball that ``ThrownBall`` can throw.
-        servos: whether the servos act at all; without them the robot is limp.
+        servos: by joint; those of the robot's MJCF if ``None``. See ``zfall.robots.servos``.
+        powered: whether the servos act at all; without power the robot is limp.
         threads: threads for the physics; all cores if ``None``.
 
     Raises:
@@ -84,7 +85,8 @@ class HumanoidEnv(EnvBase):
         robot: Robot = ZEROTH01,
         push_points: dict[str, PushPoint] | None = None,
         ball: Ball | None = None,
-        servos: bool = True,
+        servos: Mapping[str, Servo] | None = None,
+        powered: bool = True,
         threads: int | None = None,
     ):
         if num_envs < 1:
@@ -93,15 +95,14 @@ class HumanoidEnv(EnvBase):
         super().__init__(device=None, batch_size=[num_envs])  # with one, each step checks all keys
         self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
         self.control_dt, self.physics_dt = control_dt, physics_dt
-        self.regions, self.ball = robot.regions, ball
-        model = compile_model(
-            robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos
-        )
+        self.regions, self.ball, self.servos = robot.regions, ball, servos
+        parts: dict[str, Any] = {"push_points": push_points, "ball": ball, "servos": servos}
+        model = compile_model(robot, physics_dt=physics_dt, powered=powered, **parts)
         self.simulation = Simulation(model, num_envs, substeps, threads)
         self.push_targets = push_targets(model)
         self.num_bodies = model.nbody - 1
         self.mass = float(model.body_mass.sum()) - (ball.mass if ball else 0.0)
-        self.parameters = PhysicsParameters(model, robot, num_envs)
+        self.parameters = PhysicsParameters(model, robot, num_envs, servos)
         self.rng = torch.Generator()
         ranges = [model.joint(name).range for name in robot.joints]
         self.joint_range = torch.from_numpy(np.stack(ranges)).float()

@@ -1,12 +1,13 @@
 """The yaml table of a task: what may be changed in it, and what two of them must share."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from hydra.utils import get_object, instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from zfall.configs import nodes_of
+from zfall.configs import compose_config, nodes_of, options_of
 from zfall.fingerprints import digest, file_digest
 from zfall.robots import ZEROTH01, Robot
 from zfall.simulation.model import identity_of
@@ -23,19 +24,41 @@ def robot_of(cfg: DictConfig) -> Robot:
 def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
     """The env's config with some of its values replaced, ``transforms.mode.angle=0.4``.
 
+    ``servo=NAME`` gives it the servos of ``recipes/servo``; values of these can be changed after.
+
     Raises:
-        ValueError: on a key that is not there, or something else than a list.
+        ValueError: on a key that is not there, other servos than there are, or something else
+            than a list.
     """
     if isinstance(changes, str) or not isinstance(changes, Sequence):
         raise ValueError(f"change must be a list, [{changes}], got {changes}.")
-    for change in map(str, changes):
-        key = change.partition("=")[0]
-        if OmegaConf.select(env_cfg, key, default="missing") == "missing":
-            raise ValueError(f"change must name a value of the env, there is no {key}.")
     new = env_cfg.copy()  # keeps what it refers to outside of itself
     for change in map(str, changes):
-        key = change.partition("=")[0]
+        key, _, value = change.partition("=")
+        if key == "servo":
+            new = with_servos(new, value)
+            continue
+        if OmegaConf.select(new, key, default="missing") == "missing":
+            raise ValueError(f"change must name a value of the env, there is no {key}.")
         OmegaConf.update(new, key, OmegaConf.select(OmegaConf.from_dotlist([change]), key))
+    return new
+
+
+def with_servos(env_cfg: DictConfig, name: str) -> DictConfig:
+    """The env's config with the servos of ``recipes/servo/NAME.yaml``.
+
+    Raises:
+        ValueError: on an unknown name.
+    """
+    names = options_of("servo")
+    if name not in names:
+        raise ValueError(f"servo must be one of {', '.join(names)}, got {name!r}.")
+    servos = compose_config([f"servo={name}"]).env.base_env.get("servos")
+    new = env_cfg.copy()
+    with open_dict(new):
+        new.base_env.pop("servos", None)
+        if servos is not None:
+            new.base_env.servos = servos
     return new
 
 
@@ -100,7 +123,7 @@ def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:
 
 
 def env_digest(env_cfg: DictConfig) -> str:
-    """Identifies an env by its config, its robot, and the files that it reads.
+    """Identifies an env by its config, its robot with its servos, and the files that it reads.
 
     Those are what the classes and functions of the table name by ``reads_files``.
     """
@@ -115,4 +138,8 @@ def env_digest(env_cfg: DictConfig) -> str:
             if path.is_file():  # else its reader says so
                 name = node["_target_"].rpartition(".")[2]
                 read[name] = read.get(name, "") + file_digest(path)
-    return digest({"env": text, "robot": identity_of(robot), "files": read})
+    known = {"env": text, "robot": identity_of(robot), "files": read}
+    if env_cfg.base_env.get("servos") is not None:  # their numbers lie in the package
+        servos = instantiate(env_cfg.base_env.servos, _convert_="all")
+        known["servos"] = {joint: asdict(each) for joint, each in servos.items()}
+    return digest(known)

@@ -88,7 +88,7 @@ def battery_env(
     Raises:
         ValueError: if it draws what the battery sets of the physics.
     """
-    base = instantiate(cfg.base_env, num_envs=num_envs, servos=servos, _convert_="all")
+    base = instantiate(cfg.base_env, num_envs=num_envs, powered=servos, _convert_="all")
     start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
     points = [*battery.points, *battery.points[:1] * (pushes - len(battery.points))]
     push = ScriptedPush(

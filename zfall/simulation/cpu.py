@@ -187,6 +187,10 @@ class Simulation:
             if derive:
                 mujoco.mj_setConst(model, self._data[0])
 
+    def model_of(self, world: int) -> mujoco.MjModel:
+        """The model of a world, with the fields that are its own."""
+        return self._models[world]
+
     def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Positions ``(K, n, 3)`` [m] and rotation matrices ``(K, n, 3, 3)`` of n sites.
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections.abc import Mapping
 from functools import cache
 
 import mujoco
@@ -10,7 +11,9 @@ import torch
 from torch import Tensor
 
 from zfall.robots import Ball, PushPoint, Robot
+from zfall.robots.servos import Servo
 from zfall.simulation.quantities import needed_sensors
+from zfall.simulation.servos import put_servos
 
 _POINT = "push_point/"  # prefix of the massless bodies that stand for push points
 _PARKED = (1000.0, 0.0)  # where a ball waits on the floor, out of reach [m]
@@ -22,7 +25,8 @@ def compile_model(
     physics_dt: float,
     push_points: dict[str, PushPoint] | None = None,
     ball: Ball | None = None,
-    servos: bool = True,
+    servos: Mapping[str, Servo] | None = None,
+    powered: bool = True,
 ) -> mujoco.MjModel:
     """Compiles the robot's MJCF with a massless body welded to each push point.
 
@@ -35,15 +39,19 @@ def compile_model(
         physics_dt: timestep [s].
         push_points: points in addition to those of the robot, by name.
         ball: a free ball next to the robot, parked out of reach.
-        servos: whether the actuators act at all; without them the robot is limp.
+        servos: by joint, in place of the MJCF's actuators; those as they are if ``None``.
+        powered: whether the servos act at all; without power the robot is limp.
 
     Raises:
-        ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, or a
-            push point names a link that does not exist.
+        ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, a
+            push point names a link that does not exist, a joint has no servo, or a servo lacks a
+            value.
     """
     spec = mujoco.MjSpec.from_file(robot.mjcf)
     spec.option.timestep = physics_dt
     _check(spec, robot)
+    if servos is not None:
+        put_servos(spec, robot, servos)
     plain = spec.compile()
     for name, point in {**robot.push_points, **(push_points or {})}.items():
         if spec.body(name) is not None:
@@ -55,7 +63,7 @@ def compile_model(
     if ball is not None:
         _add_ball(spec, ball)
     model = spec.compile()
-    if not servos:
+    if not powered:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     return model
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from zfall.robots import GRAVITY, Robot
+from zfall.robots.servos import Servo
 from zfall.simulation.model import push_point_bodies
 
 # What the physics can bear; parameters that are not named here may be any number.
@@ -58,9 +59,21 @@ class PhysicsParameters:
         model: the compiled model, with the nominal values.
         robot: the robot.
         num_envs: number of worlds N.
+        servos: those that the model was compiled with, if they are not the MJCF's.
+
+    Attributes:
+        ranges: smallest and largest value of parameters, by name: ``RANGES``, and of the voltage
+            what all servos bear.
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: Robot, num_envs: int):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        robot: Robot,
+        num_envs: int,
+        servos: Mapping[str, Servo] | None = None,
+    ):
+        self.ranges = RANGES | ({"battery_voltage": _voltages(servos)} if servos else {})
         self.push_points = push_point_bodies(model)
         soles = [int(model.sensor(f"feet_position/{foot}").objid[0]) for foot in robot.feet]
         feet = model.site_bodyid[soles]
@@ -102,7 +115,7 @@ class PhysicsParameters:
             rows: which worlds take them ``(N,)`` bool.
 
         Raises:
-            ValueError: on an unknown name, a wrong shape, or a value out of ``RANGES``.
+            ValueError: on an unknown name, a wrong shape, or a value out of ``ranges``.
         """
         # A few rows of many small arrays, where NumPy takes a fraction of torch's time.
         index, changed = rows.nonzero()[:, 0], set()
@@ -118,7 +131,7 @@ class PhysicsParameters:
                     f"got {tuple(value.shape)}."
                 )
             new, old = value.detach().float().numpy()[places], self.values[name]
-            low, high = RANGES.get(name, ANY_NUMBER)
+            low, high = self.ranges.get(name, ANY_NUMBER)
             if new.size and not (low <= new.min() and new.max() <= high and np.isfinite(new).all()):
                 sound = (new >= low) & (new <= high) & np.isfinite(new)
                 raise ValueError(
@@ -193,6 +206,13 @@ class PhysicsParameters:
         if "slope" in names:
             fields["gravity"] = GRAVITY * _downhill(torch.from_numpy(value("slope"))).numpy()
         return fields
+
+
+def _voltages(servos: Mapping[str, Servo]) -> tuple[float, float]:
+    """Smallest and largest share of the nominal voltage that all servos work at."""
+    shares = np.array([np.divide(each.voltage_range, each.voltage) for each in servos.values()])
+    shares = shares.astype(np.float32)  # like the values
+    return float(shares[:, 0].max()), float(shares[:, 1].min())
 
 
 def _downhill(slope: Tensor) -> Tensor:

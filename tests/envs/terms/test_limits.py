@@ -90,7 +90,7 @@ def test_feet_that_come_together():
 @pytest.mark.parametrize(("speed", "hit"), [(1.35, True), (1.25, False)])
 def test_stops(speed, hit):
     """An elbow 2 mrad before its stop loses 0.07 rad/s until it is there."""
-    base = HumanoidEnv(num_envs=1, control_dt=DT, physics_dt=0.0005, servos=False)
+    base = HumanoidEnv(num_envs=1, control_dt=DT, physics_dt=0.0005, powered=False)
     base.simulation.model.opt.gravity[:] = 0
     angle, rate = base.stand_position.clone(), torch.zeros(20)
     angle[14], rate[14] = base.joint_range[14, 1] - 0.002, speed

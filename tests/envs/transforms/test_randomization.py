@@ -13,6 +13,8 @@ from zfall.envs.transforms.randomization import (
     ImuMisalignment,
     JointZeroOffset,
 )
+from zfall.robots import ZEROTH01
+from zfall.robots.servos import STS3250
 from zfall.rotations import rotate
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
@@ -32,7 +34,7 @@ def test_values_follow_their_law_and_reach_the_model(make_task, distribution, la
     env = randomized(make_task, {"foot_friction": distribution}, num_envs=300)
     drawn = env.reset()["params", "foot_friction"]
     assert kstest(drawn[:, 0].numpy(), law.cdf).pvalue > 1e-3
-    models = env.base_env.simulation._models
+    models = [env.base_env.simulation.model_of(world) for world in range(300)]
     foot = models[0].geom("left_foot").id
     assert_close(drawn[:, 0], torch.tensor([m.geom_friction[foot, 0] for m in models]).float())
 
@@ -141,3 +143,14 @@ def test_a_normal_distribution_is_cut_where_the_physics_ends(make_base):
     assert 8 < (friction == 0).sum() < 34
     assert friction.min() == 0
     assert friction.max() > 1.5
+
+
+def test_a_voltage_that_the_servos_do_not_bear_is_refused_before_anything_is_drawn(make_task):
+    servos = dict.fromkeys(ZEROTH01.joints, STS3250)
+    params = {"battery_voltage": {"uniform": [0.9, 1.1]}}
+    with pytest.raises(ValueError, match=r"params.battery_voltage.*1.05"):
+        randomized(make_task, params, servos=servos)
+    drawn = randomized(make_task, {"battery_voltage": {"normal": [1.0, 1.0]}}, servos=servos)
+    values = drawn.reset()["params", "battery_voltage"]
+    assert values.min() >= 0.5
+    assert values.max() <= 1.05 + 1e-6

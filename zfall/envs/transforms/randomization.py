@@ -12,7 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 from zfall.rotations import rotate
-from zfall.simulation.parameters import ANY_NUMBER, RANGES
+from zfall.simulation.parameters import ANY_NUMBER
 
 _KINDS = ("uniform", "log_uniform", "normal")
 
@@ -28,14 +28,14 @@ class DomainRandomization(Transform):
         params: by name, what to draw from: ``{uniform: [low, high]}``, ``{log_uniform: [low,
             high]}`` or ``{normal: [mean, standard deviation]}``, each entry of the parameter on
             its own; with ``shared: true`` one draw for all entries, and with ``clip: [low, high]``
-            cut to bounds. What a normal distribution draws beyond ``RANGES`` of
-            ``zfall.simulation.parameters`` is cut to them.
+            cut to bounds. What a normal distribution draws beyond the ``ranges`` of
+            ``PhysicsParameters`` is cut to them.
         interval: time after which the parameters are drawn again within an episode [s]; ``null``
             keeps them for the whole episode.
 
     Raises:
         ValueError: on a parameter that does not exist, a distribution that is none, or one that
-            reaches beyond ``RANGES``.
+            reaches beyond those ``ranges``.
     """
 
     clock: Tensor
@@ -48,11 +48,11 @@ class DomainRandomization(Transform):
         interval: float | None = None,
     ):
         super().__init__(in_keys_inv=["params"], out_keys_inv=["params"])
-        self.spec = env.physics_param_spec
+        self.spec, self.ranges = env.physics_param_spec, env.parameters.ranges
         for name, distribution in params.items():
             if name not in self.spec.keys():
                 raise ValueError(f"params must be of {', '.join(self.spec.keys())}, got {name!r}.")
-            _check(f"params.{name}", distribution, RANGES.get(name, ANY_NUMBER))
+            _check(f"params.{name}", distribution, self.ranges.get(name, ANY_NUMBER))
         if interval is not None and interval < env.control_dt:
             raise ValueError(
                 f"interval must be at least control_dt ({env.control_dt}), got {interval}."
@@ -91,7 +91,9 @@ class DomainRandomization(Transform):
 
     def _draw(self, rows: Tensor) -> None:
         drawn = {
-            name: draw(distribution, self.spec[name].shape, self.rng, RANGES.get(name, ANY_NUMBER))
+            name: draw(
+                distribution, self.spec[name].shape, self.rng, self.ranges.get(name, ANY_NUMBER)
+            )
             for name, distribution in self.params.items()
         }
         self._set(TensorDict(drawn, batch_size=[self.num_envs]), rows)

@@ -5,6 +5,8 @@ import torch
 from torch.testing import assert_close
 
 from zfall.envs.transforms.actions import ServoPlanner
+from zfall.robots import ZEROTH01
+from zfall.robots.servos import servo
 
 DT, SPEED, ACCELERATION = 0.004, 5.0, 39.0
 
@@ -63,3 +65,49 @@ def test_set_point_rests_on_a_still_command(make_base, send, physics_dt):
     got = send(ServoPlanner(base), command.expand(-1, round(1.0 / physics_dt), -1))
     last = got[:, -20:]
     assert_close(last, command.expand_as(last), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("register", [50, 254])
+@pytest.mark.parametrize("way", [0.1, 0.6, 2.0])
+def test_a_step_under_the_register_follows_the_trapezoid(make_base, send, register, way):
+    """Within what the set-point moves in one physics step of the continuous profile."""
+    servos = dict.fromkeys(ZEROTH01.joints, servo("STS3250", acceleration=register))
+    base = make_base(num_envs=1, servos=servos)
+    planner = ServoPlanner(base, acceleration=None)
+    a, v = register * 100 * torch.pi * 2 / 4096, SPEED  # 0.1534 rad/s2 each
+    got = send(planner, (base.stand_position + way).expand(1, 500, 20)) - base.stand_position
+    t = torch.arange(1, 501) * DT
+    top = min(v, (way * a) ** 0.5)  # speed at the end of the ramp, or in the middle of a triangle
+    rise = top / a
+    whole = way / top + rise
+    up, down = t.clamp_max(rise), (whole - t).clamp(0.0, rise)
+    expected = torch.where(t < rise, a * up**2 / 2, a * rise**2 / 2 + top * (t - rise))
+    expected = torch.where(t > whole - rise, way - a * down**2 / 2, expected)
+    assert (got[0, :, 0] - expected).abs().max() < 1.5 * top * DT
+    late = (got[0, :, 0] >= way - 1e-3).int().argmax() - (expected >= way - 1e-3).int().argmax()
+    assert abs(int(late)) <= 2
+    assert_close(got[0, :, 0], got[0, :, 19], atol=1e-5, rtol=0)
+
+
+def test_no_ramp_passes_commands_on_and_leaves_other_joints_theirs(make_base, send):
+    """A register of 0 is no ramp: only the speed limit holds, if there is one."""
+    servos = dict.fromkeys(ZEROTH01.joints, servo("STS3250"))
+    servos[ZEROTH01.joints[3]] = servo("STS3250", acceleration=254)
+    base = make_base(num_envs=2, servos=servos)
+    commands = base.stand_position + 0.3 * torch.randn(2, 40, 20)
+    got = send(ServoPlanner(base, velocity=None, acceleration=None), commands)
+    free = torch.arange(20) != 3
+    assert_close(got[..., free], commands[..., free])
+    plain = send(ServoPlanner(base, velocity=100.0, acceleration=254 * 0.15339808), commands)
+    assert_close(got[..., 3], plain[..., 3], atol=1e-4, rtol=0)
+    step = (base.stand_position + 1.0).expand(2, 40, 20)
+    got = send(ServoPlanner(base, acceleration=0.0), step) - base.stand_position
+    t = torch.arange(1, 41) * DT
+    assert_close(got[0, :, 0], (SPEED * t).clamp_max(1.0), atol=1e-5, rtol=0)
+
+
+def test_a_ramp_of_servos_that_have_no_register_is_refused(make_base):
+    with pytest.raises(ValueError, match="acceleration must be a number, got null"):
+        ServoPlanner(make_base(num_envs=1), acceleration=None)
+    with pytest.raises(ValueError, match="acceleration must be .*got -1"):
+        ServoPlanner(make_base(num_envs=1), acceleration=-1.0)

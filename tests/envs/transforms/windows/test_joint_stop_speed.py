@@ -33,7 +33,7 @@ def test_joint_that_runs_into_its_stop_hits_it_with_what_its_damping_left(speed)
 
     Without gravity and servos nothing else acts; I is the inertia of servo and forearm.
     """
-    base = HumanoidEnv(num_envs=1, control_dt=0.04, physics_dt=0.0002, servos=False)
+    base = HumanoidEnv(num_envs=1, control_dt=0.04, physics_dt=0.0002, powered=False)
     base.simulation.model.opt.gravity[:] = 0
     angle, rate = base.stand_position.clone(), torch.zeros(20)
     angle[ELBOW], rate[ELBOW] = 1.570796 - 0.005, speed

@@ -1,5 +1,7 @@
 """The motion planner in a servo's firmware."""
 
+import math
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -32,11 +34,13 @@ class ServoPlanner(Transform):
 
     Args:
         env: the base env.
-        velocity: largest speed [rad/s].
-        acceleration: largest acceleration [rad/s2].
+        velocity: largest speed [rad/s]; ``null`` sets none.
+        acceleration: largest acceleration [rad/s2]; 0 sets none, like the register of a servo, so
+            that the set-point goes to the command as fast as ``velocity`` lets it; ``null`` takes
+            that of each servo of the env, from its register.
 
     Raises:
-        ValueError: if a limit is not positive.
+        ValueError: if a limit is not positive, or there are no servos to take it from.
 
     Source: the limits are those that the robot's maker publishes for its servos (ksim-zbot,
     ``max_velocity`` and ``max_acceleration``); the profile is ours, exact in discrete time.
@@ -45,12 +49,20 @@ class ServoPlanner(Transform):
     position: Tensor
     speed: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, velocity: float = 5.0, acceleration: float = 39.0):
+    def __init__(
+        self,
+        env: HumanoidEnv,
+        *,
+        velocity: float | None = 5.0,
+        acceleration: float | None = 39.0,
+    ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
-        for name, value in (("velocity", velocity), ("acceleration", acceleration)):
-            if not value > 0:
-                raise ValueError(f"{name} must be positive, got {value}.")
-        self.velocity, self.acceleration = velocity, acceleration
+        if velocity is not None and not velocity > 0:
+            raise ValueError(f"velocity must be positive, got {velocity}.")
+        if acceleration is not None and not acceleration >= 0:
+            raise ValueError(f"acceleration must be positive, or 0 for none, got {acceleration}.")
+        self.velocity = math.inf if velocity is None else velocity
+        self.acceleration = _of_servos(env) if acceleration is None else acceleration
         self.physics_dt, self.substeps = env.physics_dt, env.substeps
         self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
         self.register_buffer("speed", torch.zeros(env.num_envs, len(env.stand_position)))
@@ -59,6 +71,8 @@ class ServoPlanner(Transform):
         half = self.physics_dt / 2
         change = per_world(self.acceleration, 2) * self.physics_dt
         fastest = per_world(self.velocity, 2)
+        at_once = torch.as_tensor(change == 0.0)
+        way = torch.as_tensor(fastest * self.physics_dt)
         control = read_commands(tensordict, self.substeps).clone()
         position, speed = self.position, self.speed
         for step in range(self.substeps):
@@ -68,7 +82,11 @@ class ServoPlanner(Transform):
             most = ((u / (n + 1.0)).add_(n) * (change / 2)).clamp_max(fastest)
             wanted = torch.copysign(most, rest)
             before, speed = speed, torch.clamp(wanted, speed - change, speed + change)
-            position = position + half * (before + speed)
+            ramped = position + half * (before + speed)
+            if at_once.any():
+                free = position + (control[:, step] - position).clamp(-way, way)
+                ramped, speed = torch.where(at_once, free, ramped), speed.where(~at_once, 0.0)
+            position = ramped
             control[:, step] = position
         self.position, self.speed = position, speed
         return tensordict.set("control", control)
@@ -81,3 +99,14 @@ class ServoPlanner(Transform):
         self.position = torch.where(rows, before, self.position)
         self.speed = torch.where(rows, 0.0, self.speed)
         return tensordict_reset
+
+
+def _of_servos(env: HumanoidEnv) -> Tensor:
+    """Acceleration by the register of each joint's servo ``(1, J)`` [rad/s2], 0 without a ramp."""
+    if env.servos is None:
+        raise ValueError(
+            "acceleration must be a number, got null, with servos that have no register; "
+            "servo=datasheet has servos that do."
+        )
+    each = [env.servos[joint] for joint in env.robot.joints]
+    return torch.tensor([[servo.acceleration * servo.acceleration_step for servo in each]])
