@@ -8,15 +8,20 @@ from torchrl.modules import set_recurrent_mode
 from zfall.losses.burn_in import burnt_in
 from zfall.training.learner import Learner
 
+OURS = ("actor=gru_mog", "critic=gru")
+OF_TORCHRL = ("~actor", "+actor={_target_: tests.recurrent.lstm_actor, num_layers: 2}",
+              "~critic", "+critic={_target_: tests.recurrent.lstm_critic}")  # fmt: skip
+
 
 @pytest.mark.parametrize("cut", [2, 3])
-def test_burn_in_starts_from_the_memory_of_the_present_weights(compose_config, cut):
+@pytest.mark.parametrize("networks", [OURS, OF_TORCHRL], ids=["GRU", "LSTM"])
+def test_burn_in_starts_from_the_memory_of_the_present_weights(compose_config, cut, networks):
     """After the weights have moved: what a replay of the whole sequence has from the cut on.
 
     Episodes of five steps begin at steps 2 and 7 of the batch: at the cut itself, or before it.
     """
-    sizes = ("num_envs=6", "rollout_steps=8", "actor=gru_mog", "critic=gru")
-    learner = Learner(compose_config(*sizes, "env.transforms.limit.seconds=0.2"))
+    sizes = ("num_envs=6", "rollout_steps=8")
+    learner = Learner(compose_config(*sizes, *networks, "env.transforms.limit.seconds=0.2"))
     learner.collect()
     batch = learner.collect().select(*learner._learned)
     with torch.no_grad():

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 from torchrl.modules import IndependentNormal, ProbabilisticActor, set_recurrent_mode
 
+from tests.recurrent import SHAPES, live_through, lstm_actor, shake, two_grus_actor
 from zfall.losses.caps import CAPSLoss
 from zfall.modules.actors import gru_actor, mlp_actor
 
@@ -200,6 +201,86 @@ def test_the_gradient_of_a_recurrent_policy_goes_through_the_memory_of_all(recur
     after, before = moved(1e-6), moved(-1e-6)
     for key, slope in slopes.items():
         assert slope == pytest.approx((after[key] - before[key]) / 2e-6, rel=1e-5)
+
+
+def lstm_by_hand(actor: ProbabilisticActor, batch: TensorDict, near: torch.Tensor):
+    """Means of a sequence and of neighbours, by the definition of an LSTM, row by row::
+
+    i, f, g, o = W x + b + U h + c,  c' = s(f) c + s(i) tanh(g),  h' = s(o) tanh(c')
+    """
+    encoder, cell = actor[0][0][0].module, actor[0][0][1].lstm
+    weights, head = cell.all_weights[0], actor[0][1].module
+
+    def step(observation, h, c):
+        gates = encoder(observation) @ weights[0].T + weights[2] + h @ weights[1].T + weights[3]
+        i, f, g, o = gates.chunk(4)
+        c = f.sigmoid() * c + i.sigmoid() * g.tanh()
+        h = o.sigmoid() * c.tanh()
+        return head(h)[0], h, c
+
+    means, nears = [], []
+    for n in range(batch.shape[0]):
+        h, c = (batch[f"recurrent_state_actor_{name}"][n, 0, 0] for name in "hc")
+        for t in range(batch.shape[1]):
+            if batch["is_init"][n, t]:
+                h, c = torch.zeros_like(h), torch.zeros_like(c)
+            nears.append(step(near[n, t], h, c)[0])
+            mean, h, c = step(batch["observation"][n, t], h, c)
+            means.append(mean)
+    return (torch.stack(x).view(*batch.shape, -1) for x in (means, nears))
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_both_terms_and_gradients_of_an_lstm_are_those_of_one_unrolled_by_hand(begun, monkeypatch):
+    """Of TorchRL's module, that in a sequence writes the last memory alone; begun in the midst."""
+    spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+    actor = shake(lstm_actor(spec, Unbounded((1, JOINTS)))).double()
+    batch = TensorDict(
+        {
+            "observation": torch.randn(5, 9, OBSERVED).double(),
+            "is_init": torch.rand(5, 9, 1) < 0.25,
+        },
+        [5, 9],
+    )
+    batch = live_through(actor, batch, SHAPES["lstm"])[:, 3 * begun :]
+    assert batch["is_init"][:, 1:].any()
+    near = batch["observation"] + 0.5 * torch.randn_like(batch["observation"])
+    caps = CAPSLoss(actor, temporal_coeff=1.0, spatial_coeff=1.0)
+    monkeypatch.setattr(caps, "_neighbour", lambda steps: near)
+    ours = caps(batch)
+    means, nears = lstm_by_hand(actor, batch, near)
+    follows = ~batch["is_init"][:, 1:, 0]
+    theirs = {
+        "loss_temporal": (means[:, 1:] - means[:, :-1]).abs().sum(-1)[follows].mean(),
+        "loss_spatial": (means - nears).square().sum(-1).mean(),
+    }
+    weights = list(actor.parameters())
+    for key, expected in theirs.items():
+        assert expected > 1e-3
+        assert_close(ours[key], expected)
+        found, right = (
+            torch.autograd.grad(value, weights, retain_graph=True, allow_unused=True)
+            for value in (ours[key], expected)
+        )
+        assert_close([g for g in found if g is not None], [g for g in right if g is not None])
+
+
+def test_spatial_pairs_of_two_memories_have_what_each_had_there(monkeypatch):
+    """Two GRUs in a row, neighbours asked step by step from the memories that were lived through."""
+    spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
+    actor = shake(two_grus_actor(spec, Unbounded((1, JOINTS))))
+    begins = torch.rand(6, 12, 1) < 0.2
+    batch = TensorDict({"observation": torch.randn(6, 12, OBSERVED), "is_init": begins}, [6, 12])
+    batch = live_through(actor, batch, SHAPES["two grus"])
+    caps = CAPSLoss(actor, spatial_coeff=1.0)
+    monkeypatch.setattr(caps, "_neighbour", lambda steps: steps["observation"] + 0.3)
+    assert caps.companions(batch) is None
+    found = caps(batch[:, 4:])["loss_spatial"]
+    steps = batch[:, 4:].reshape(-1)
+    moved = steps.clone().set("observation", steps["observation"] + 0.3)
+    with torch.no_grad():
+        here, there = (actor.get_dist(td.clone()).mean for td in (steps, moved))
+    assert_close(found, (here - there).square().sum(-1).mean(), rtol=1e-4, atol=1e-7)
 
 
 def test_a_smooth_policy_costs_nothing_and_has_a_finite_gradient():

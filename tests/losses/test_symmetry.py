@@ -9,9 +9,10 @@ from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 from torchrl.modules import IndependentNormal, ProbabilisticActor, set_recurrent_mode
 
+from tests.recurrent import ACTORS, SHAPES, live_through, lstm_critic, shake
 from zfall.losses.symmetry import MirroredMemory, SymmetryAugmentation, SymmetryLoss
-from zfall.modules.actors import gru_actor, mlp_actor
-from zfall.modules.critics import gru_critic, mlp_critic
+from zfall.modules.actors import mlp_actor
+from zfall.modules.critics import mlp_critic
 from zfall.modules.mirror import Mirror
 
 OBSERVED, JOINTS = 4, 2
@@ -75,37 +76,33 @@ def sequences(rows: int, steps: int) -> TensorDict:
     )
 
 
-def live_through(network, batch: TensorDict, key: str) -> TensorDict:
-    """The batch step by step, with the hidden state of each step in it, zero at a reset."""
-    state, steps = torch.zeros(len(batch), 2, 8), []
-    for step in batch.unbind(1):
-        state = torch.where(step["is_init"][..., None], 0.0, state)
-        step = step.clone().set(key, state)
-        state = network(step.clone())["next", key]
-        steps.append(step)
-    return torch.stack(steps, 1)
+def in_the_mirror(shapes: dict[str, tuple]) -> dict[str, tuple]:
+    return {f"{key}_mirrored": shape for key, shape in shapes.items()}
 
 
-def test_memory_in_the_mirror_is_that_of_the_mirrored_episode(mirrors):
-    actor = gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2)
-    memory = MirroredMemory(actor, mirrors["observation"])
+@pytest.mark.parametrize("kind", list(ACTORS))
+def test_memory_in_the_mirror_is_that_of_the_mirrored_episode(mirrors, kind):
+    actor, shapes = shake(ACTORS[kind](SPEC, ACTION)), SHAPES[kind]
+    memory = MirroredMemory(actor, mirrors)
     batch = sequences(6, 10)
-    followed = live_through(memory, batch, memory.key)[memory.key]
+    followed = live_through(memory, batch, in_the_mirror(shapes))
     image = batch.clone().set("observation", mirrors["observation"](batch["observation"]))
-    expected = live_through(actor, image, "recurrent_state_actor")["recurrent_state_actor"]
-    assert followed.abs().max() > 0.01
-    assert_close(followed, expected)
+    expected = live_through(actor, image, shapes)
+    for key in shapes:
+        assert expected[key].abs().max() > 0.01
+        assert_close(followed[f"{key}_mirrored"], expected[key])
 
 
-def test_loss_of_a_recurrent_policy_follows_the_mirrored_episode(mirrors):
-    actor = gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, components=0)
-    nn.init.orthogonal_(actor[0][-1].module.mean.weight)  # not near zero, as at the start
+@pytest.mark.parametrize("kind", list(ACTORS))
+def test_loss_of_a_recurrent_policy_follows_the_mirrored_episode(mirrors, kind):
+    actor, shapes = shake(ACTORS[kind](SPEC, ACTION)), SHAPES[kind]
     loss = SymmetryLoss(actor, mirrors, coeff=1.0)
     (memory,) = loss.memories
-    batch = sequences(6, 10)
-    batch = live_through(memory, live_through(actor, batch, memory.hidden), memory.key)
+    batch = live_through(
+        memory, live_through(actor, sequences(6, 10), shapes), in_the_mirror(shapes)
+    )
     image = batch.clone().set("observation", mirrors["observation"](batch["observation"]))
-    image = live_through(actor, image.exclude(memory.hidden), memory.hidden)
+    image = live_through(actor, image.exclude(*shapes), shapes)
     with torch.no_grad():
         mu, there = (actor.get_dist(td.reshape(-1)).mean for td in (batch, image))
     expected = (there - mirrors["action"](mu)).square().sum(-1).mean()
@@ -114,6 +111,26 @@ def test_loss_of_a_recurrent_policy_follows_the_mirrored_episode(mirrors):
     assert_close(loss(batch)["loss_symmetry"], expected)
     parts = [loss(batch[:, :3])["loss_symmetry"] * 3, loss(later)["loss_symmetry"] * 7]
     assert_close(sum(parts) / 10, expected)
+
+
+def test_all_that_an_actor_sees_is_mirrored(mirrors):
+    """``mu = W (o, c)`` of two inputs; without a mirror of the second it is refused."""
+    weight = torch.randn(JOINTS, OBSERVED + 1)
+    net = TensorDictModule(
+        lambda seen, command: Linear(weight)(torch.cat([seen, command], -1)),
+        in_keys=["observation", "command"],
+        out_keys=["loc", "scale"],
+    )
+    actor = ProbabilisticActor(net, in_keys=["loc", "scale"], distribution_class=IndependentNormal)
+    with pytest.raises(ValueError, match="mirrors must have all that networks see, command"):
+        SymmetryLoss(actor, mirrors)
+    turn = Mirror(torch.tensor([0]), torch.tensor([-1.0]))
+    loss = SymmetryLoss(actor, {**mirrors, "command": turn}, coeff=1.0)
+    batch = TensorDict({"observation": torch.randn(9, OBSERVED), "command": torch.randn(9, 1)}, [9])
+    there = torch.cat([mirrors["observation"](batch["observation"]), -batch["command"]], -1)
+    here = torch.cat([batch["observation"], batch["command"]], -1)
+    error = there @ weight.T - mirrors["action"](here @ weight.T)
+    assert_close(loss(batch)["loss_symmetry"], error.square().sum(-1).mean())
 
 
 def test_augmentation_mirrors_a_share_of_the_samples_and_nothing_else(mirrors):
@@ -147,29 +164,32 @@ def test_augmentation_mirrors_a_share_of_the_samples_and_nothing_else(mirrors):
         assert_close(out[key], batch[key])
 
 
-def test_augmented_sequences_replay_the_mirrored_episode(mirrors):
+@pytest.mark.parametrize("kind", list(ACTORS))
+def test_augmented_sequences_replay_the_mirrored_episode(mirrors, kind):
     """Log-probabilities of mirrored sequences are those of a policy that lived through them."""
-    actor = gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2)
-    critic = gru_critic(SPEC, hidden_size=8, num_layers=2)
+    actor, shapes = shake(ACTORS[kind](SPEC, ACTION)), SHAPES[kind]
+    critic, of_critic = lstm_critic(SPEC), ("recurrent_state_critic_h", "recurrent_state_critic_c")
+    of_critic = dict.fromkeys(of_critic, (1, 8))
     augment = SymmetryAugmentation([actor, critic], mirrors, share=0.9999)
-    memory, of_critic = augment.memories
     batch = sequences(6, 10)
     batch["observation_critic"] = batch["observation"].clone()
     batch["action"] = torch.randn(6, 10, JOINTS)
-    for network, key in (
-        (actor, memory.hidden),
-        (memory, memory.key),
-        (critic, of_critic.hidden),
-        (of_critic, of_critic.key),
+    for network, memory, of_it in zip(
+        (actor, critic), augment.memories, (shapes, of_critic), strict=True
     ):
-        batch = live_through(network, batch, key)
+        batch = live_through(network, batch, of_it)
+        batch = live_through(memory, batch, in_the_mirror(of_it))
     out = augment(batch)[:, 4:]
     image = batch.clone().set("observation", mirrors["observation"](batch["observation"]))
-    image = live_through(actor, image.exclude(memory.hidden), memory.hidden)[:, 4:]
+    image["observation_critic"] = image["observation"]
+    image = live_through(actor, image.exclude(*shapes), shapes)
+    image = live_through(critic, image.exclude(*of_critic), of_critic)[:, 4:]
     with torch.no_grad(), set_recurrent_mode(True):
         replayed = actor.get_dist(out.clone()).mean
         lived = actor.get_dist(image.clone()).mean
+        values = [critic(td.clone())["state_value"] for td in (out, image)]
     assert_close(replayed, lived, rtol=1e-5, atol=1e-6)
+    assert_close(*values, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0])

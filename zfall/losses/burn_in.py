@@ -5,9 +5,9 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.modules import set_recurrent_mode
 
 from zfall.modules.actors import recurrent_keys
+from zfall.modules.memory import memory_after, rows_where
 
 
 def burnt_in(batch: TensorDictBase, networks: Iterable[Any], steps: int) -> TensorDictBase:
@@ -19,10 +19,12 @@ def burnt_in(batch: TensorDictBase, networks: Iterable[Any], steps: int) -> Tens
     first, rest = batch[:, :steps], batch[:, steps:].copy()
     begins = rest["is_init"][:, 0]
     for network in networks:
-        for key in recurrent_keys(network):
-            with torch.no_grad(), set_recurrent_mode(True):
-                after = network(first.select(*network.in_keys))["next", key][:, -1]
+        if not recurrent_keys(network):
+            continue
+        with torch.no_grad():
+            after = memory_after(network, first)
+        for key, refreshed in after.items():
             memory = rest[key].clone()
-            memory[:, 0] = torch.where(begins[..., None], memory[:, 0], after)
+            memory[:, 0] = rows_where(begins, memory[:, 0], refreshed)
             rest[key] = memory
     return rest

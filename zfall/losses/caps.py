@@ -5,13 +5,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from zfall.modules.actors import normalizer_of, recurrent_keys
-from zfall.modules.gru import StackedGRU, borrow_memory
+from zfall.modules.gru import borrow_memory
+from zfall.modules.memory import lends_memory, memory_before
 
 NORMS = {
     "l1": lambda x: x.abs().sum(-1),
@@ -99,12 +100,10 @@ class CAPSLoss(LossModule):
         self.temporal_coeff, self.spatial_coeff = temporal_coeff, spatial_coeff
         self.temporal_norm, self.spatial_norm = NORMS[temporal_norm], NORMS[spatial_norm]
         self.recurrent = bool(recurrent_keys(actor_network))
-        # Sequences may name whose memory they have, if all memory that the actor has is ours.
-        grus = (part for part in actor_network.modules() if isinstance(part, StackedGRU))
-        self._actor_lends = [gru.in_keys[1] for gru in grus] == recurrent_keys(actor_network) != []
+        self._actor_lends = lends_memory(actor_network)
         self.in_keys = list(actor_network.in_keys)
         if not self.recurrent:
-            self.in_keys.append(("next", "observation"))
+            self.in_keys += [unravel_key(("next", key)) for key in actor_network.in_keys]
         self.neighbour_key = neighbour_key
         if neighbour_key is not None:
             self.in_keys.append(neighbour_key)
@@ -138,12 +137,11 @@ class CAPSLoss(LossModule):
             change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
             temporal = change.sum() / follows.sum().clamp_min(1)
         else:
-            seen = [tensordict["next", "observation"], self._neighbour(tensordict)]
-            seen += [tensordict["observation"]] if mu is None else []
-            together = torch.stack(seen)
-            after, near, *here = self._act(
-                TensorDict({"observation": together}, together.shape[:2])
-            )
+            now = tensordict.select(*self.actor_network.in_keys)
+            near_by = now.copy().set("observation", self._neighbour(tensordict))
+            seen = [tensordict["next"].select(*self.actor_network.in_keys), near_by]
+            seen += [now] if mu is None else []
+            after, near, *here = self._act(torch.stack(seen))
             mu = here[0] if mu is None else mu
             temporal = self.temporal_norm(mu - after).mean()
         spatial = self.spatial_norm(mu - near).mean()
@@ -161,9 +159,7 @@ class CAPSLoss(LossModule):
         with set_recurrent_mode(True):
             mu = self._act(seen)
         near["observation"] = self._neighbour(batch)
-        # Before each step:
-        for hidden in recurrent_keys(self.actor_network):
-            near[hidden] = torch.cat([seen[hidden][:, :1], seen["next", hidden][:, :-1]], 1)
+        near.update(memory_before(self.actor_network, batch, passed=seen))
         with set_recurrent_mode(False):
             return mu, self._act(near.reshape(-1)).view_as(mu)
 

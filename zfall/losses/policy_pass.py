@@ -7,7 +7,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 
-from zfall.modules.gru import together
+from zfall.modules.gru import BORROWED, together
+from zfall.modules.memory import lends_memory
 
 POLICY = "policy_distribution"  # where a batch keeps the distribution that a pass gave
 
@@ -29,16 +30,22 @@ def policy_pass(
     Returns:
         The distribution of the actions in the batch, with its graph; and of each companion the
         actions without exploration ``(M, ..., J)``.
+
+    Raises:
+        ValueError: if sequences borrow the memory of an actor that lends none.
     """
-    rows = len(batch)
     inputs, places = together([batch, *companions], actor.in_keys)
+    if BORROWED in inputs.keys() and not lends_memory(actor):
+        raise ValueError(
+            "companions must have a memory of their own for an actor that lends none, as a "
+            "StackedGRU does: zfall.modules.memory.memory_before gives it."
+        )
     with set_recurrent_mode(True):
         found = actor.get_dist_params(inputs)
     if not companions:
         return actor.build_dist_from_params(found), []
-    policy = actor.build_dist_from_params(found[:rows])
-    actions = actor.build_dist_from_params(found[rows:]).deterministic_sample
-    return policy, [actions[place.start - rows : place.stop - rows] for place in places[1:]]
+    policy, *others = (actor.build_dist_from_params(found[place]) for place in places)
+    return policy, [other.deterministic_sample for other in others]
 
 
 def keep_policy(batch: TensorDictBase, policy: Any) -> TensorDictBase:

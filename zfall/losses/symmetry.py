@@ -5,15 +5,15 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.data import Unbounded
 from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from zfall.modules.actors import recurrent_keys
+from zfall.modules.memory import lends_memory, memory_beginning, memory_part, rows_where
 from zfall.modules.mirror import Mirror
 
 
@@ -28,17 +28,17 @@ class SymmetryLoss(LossModule):
     sequence from the memory that it would have there, see ``MirroredMemory``.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)`` or sequences ``(N, T, ...)`` of a recurrent
-    one, and then ``recurrent_state_actor_mirrored``. mu(o) is taken from ``deterministic_action``,
-    if the batch has it, and then mu(M o) from ``mirrored_action``, if it has that. Writes
-    ``loss_symmetry`` ``()``.
+    one, and then ``NAME_mirrored`` of each hidden state. mu(o) is taken from
+    ``deterministic_action``, if the batch has it, and then mu(M o) from ``mirrored_action``, if it
+    has that. Writes ``loss_symmetry`` ``()``.
 
     Args:
         actor_network: the policy.
-        mirrors: of ``observation`` and ``action``.
+        mirrors: of ``action`` and all that the actor sees, ``observation``.
         coeff: weight.
 
     Raises:
-        ValueError: on a negative weight.
+        ValueError: on a negative weight, or if the actor sees what has no mirror.
 
     Source: Yu et al., "Learning symmetric and low-energy locomotion", SIGGRAPH 2018.
     """
@@ -50,33 +50,36 @@ class SymmetryLoss(LossModule):
     def __init__(
         self,
         actor_network: ProbabilisticActor,
-        mirrors: Mapping[str, Mirror],
+        mirrors: Mapping[NestedKey, Mirror],
         *,
         coeff: float = 0.5,
     ):
         super().__init__()
         if not 0 <= coeff < math.inf:
             raise ValueError(f"coeff must be finite and not negative, got {coeff}.")
+        _check_seen([actor_network], mirrors)
         self.actor_network, self.coeff = actor_network, coeff
-        self.mirrors = nn.ModuleDict(mirrors)
+        self.mirrors = nn.ModuleDict({_name_of(key): mirror for key, mirror in mirrors.items()})
         self.memories = memories([actor_network], mirrors)
-        self.in_keys = [*actor_network.in_keys, *(memory.key for memory in self.memories)]
+        images = [place for memory in self.memories for place in memory.keys.values()]
+        self.in_keys = [*actor_network.in_keys, *images]
 
     @classmethod
     def for_task(
         cls, actor_network: ProbabilisticActor, task: Any, **values: Any
     ) -> "SymmetryLoss":
         """With the mirrors of the task, see ``zfall.training.task_facts``."""
-        return cls(
-            actor_network, {key: task.mirror(key) for key in ("observation", "action")}, **values
-        )
+        keys = [*seen_by([actor_network]), "action"]
+        return cls(actor_network, {key: task.mirror(key) for key in keys}, **values)
 
     def companions(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The mirror image of what the policy read, of which ``mirrored_action`` is to be."""
         image = tensordict.select(*self.actor_network.in_keys)
-        image["observation"] = self.mirrors["observation"](image["observation"])
+        for key in seen_by([self.actor_network]):
+            image[key] = self.mirrors[_name_of(key)](image[key])
         for memory in self.memories:
-            image[memory.hidden] = tensordict[memory.key]
+            for key, place in memory.keys.items():
+                image[key] = tensordict[place]
         return image
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -110,11 +113,11 @@ class SymmetryAugmentation(nn.Module):
 
     Args:
         networks: actor and critic.
-        mirrors: of ``observation``, ``observation_critic`` and ``action``.
+        mirrors: of ``action`` and all that the networks see.
         share: part of the samples that are mirrored, each for itself.
 
     Raises:
-        ValueError: on a share outside of [0, 1).
+        ValueError: on a share outside of [0, 1), or if a network sees what has no mirror.
 
     Source: Mittal et al., "Symmetry considerations for learning task symmetric robot policies",
     ICRA 2024, who add the images to the samples.
@@ -123,24 +126,27 @@ class SymmetryAugmentation(nn.Module):
     def __init__(
         self,
         networks: Iterable[TensorDictModuleBase],
-        mirrors: Mapping[str, Mirror],
+        mirrors: Mapping[NestedKey, Mirror],
         *,
         share: float = 0.5,
     ):
         super().__init__()
         if not 0 <= share < 1:
             raise ValueError(f"share must lie in [0, 1), got {share}.")
-        self.share = share
-        self.mirrors = nn.ModuleDict(mirrors)
+        networks = list(networks)
+        _check_seen(networks, mirrors)
+        self.share, self._keys = share, list(mirrors)
+        self.mirrors = nn.ModuleDict({_name_of(key): mirror for key, mirror in mirrors.items()})
         self.memories = memories(networks, mirrors)
-        self.in_keys = [memory.key for memory in self.memories]
+        self.in_keys = [place for memory in self.memories for place in memory.keys.values()]
 
     @classmethod
     def for_task(
         cls, networks: Iterable[TensorDictModuleBase], task: Any, **values: Any
     ) -> "SymmetryAugmentation":
         """With the mirrors of the task, see ``zfall.training.task_facts``."""
-        keys = ("observation", "observation_critic", "action")
+        networks = list(networks)
+        keys = [*seen_by(networks), "action"]
         return cls(networks, {key: task.mirror(key) for key in keys}, **values)
 
     @torch.no_grad()
@@ -149,70 +155,99 @@ class SymmetryAugmentation(nn.Module):
         rows = torch.rand(len(tensordict)) < self.share
         out = tensordict.copy()
         out["mirrored"] = rows.reshape(-1, *[1] * (tensordict.dim() - 1)).expand(tensordict.shape)
-        for key, mirror in self.mirrors.items():
-            for place in (key, ("next", key), f"{key}_neighbour"):
+        for key, mirror in zip(self._keys, self.mirrors.values(), strict=True):
+            for place in (key, ("next", key), f"{_name_of(key)}_neighbour"):
                 if (value := tensordict.get(place, None)) is not None:
-                    out[place] = _where(rows, mirror(value), value)
+                    out[place] = rows_where(rows, mirror(value), value)
         for memory in self.memories:
-            kept, image = tensordict[memory.hidden], tensordict[memory.key]
-            out[memory.hidden] = _where(rows, image, kept)
-            out[memory.key] = _where(rows, kept, image)
+            for key, place in memory.keys.items():
+                kept, image = tensordict[key], tensordict[place]
+                out[key] = rows_where(rows, image, kept)
+                out[place] = rows_where(rows, kept, image)
         return out
 
 
 class MirroredMemory(TensorDictModuleBase):
     """Lets a recurrent network also follow what it would see if left and right were exchanged.
 
-    Its hidden state there cannot be had by reflecting the one it has: only by living through the
-    mirrored episode. It travels beside the other in the TensorDict, so that resets, batches and
-    checkpoints treat both alike.
+    Its hidden states there cannot be had by reflecting those it has: only by living through the
+    mirrored episode. They travel next to the others in the TensorDict, so that resets, batches and
+    checkpoints treat both the same way.
 
-    Keys: reads the network's observation, ``is_init`` and ``key``, the hidden state in the mirror
-    ``(*B, layers, H)``, whose successor it writes under ``("next", key)``.
+    Keys: reads what the network's memory follows from, and its hidden states in the mirror, under
+    their names with ``_mirrored`` behind; writes their successors under ``("next", NAME)``.
 
     Args:
         network: recurrent actor or critic, whose weights are used.
-        mirror: of its observation.
+        mirrors: of the observations that it reads.
+
+    Attributes:
+        keys: where each hidden state's image lies.
+
+    Raises:
+        ValueError: if it reads something of which there is no mirror.
     """
 
-    def __init__(self, network: Any, mirror: Mirror):
+    def __init__(self, network: Any, mirrors: Mapping[NestedKey, Mirror]):
         super().__init__()
-        (self.hidden,) = recurrent_keys(network)
-        self.key = f"{self.hidden}_mirrored"
-        # Encoder and GRU, held in a tuple: parameters of the network alone.
-        parts = network[0] if isinstance(network, ProbabilisticActor) else network
-        self._parts = (parts[0], parts[1])
-        self.observation = parts[0].in_keys[0]
-        self.mirror = (mirror,)
-        self.in_keys = [self.observation, "is_init", self.key]
-        self.out_keys = [("next", self.key)]
+        self.keys = {key: _image_key(key) for key in recurrent_keys(network)}
+        self.lends_memory = lends_memory(network)
+        # In tuples: parameters and primers of the network alone.
+        self._network, self._part = (network,), (memory_part(network),)
+        _check_seen([self._part[0]], mirrors)
+        self._mirrors = ({key: mirrors[key] for key in seen_by([self._part[0]])},)
+        reads = [key for key in self._part[0].in_keys if key not in self.keys]
+        self.in_keys = [*reads, *self.keys.values()]
+        memory_beginning(network)  # raises if that has no image
+        self.out_keys = [unravel_key(("next", key)) for key in self.keys.values()]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """One step of the memory."""
-        encoder, gru = self._parts
-        image = tensordict.select("is_init")
-        image[self.observation] = self.mirror[0](tensordict[self.observation])
-        image[self.hidden] = tensordict[self.key]
-        after = gru(encoder(image))["next", self.hidden]
-        return tensordict.set(("next", self.key), after)
+        (part,), (mirrors,) = self._part, self._mirrors
+        image = tensordict.select(*(key for key in part.in_keys if key not in self.keys))
+        for key, mirror in mirrors.items():
+            image[key] = mirror(tensordict[key])
+        for key, place in self.keys.items():
+            image[key] = tensordict[place]
+        after = part(image)["next"]
+        for key, place in self.keys.items():
+            tensordict["next", place] = after[key]
+        return tensordict
 
     def make_tensordict_primer(self) -> TensorDictPrimer:
-        """Zeros at the beginning of an episode."""
-        gru = self._parts[1].gru
+        """What the network's own memory begins with."""
+        begins = memory_beginning(self._network[0])
         return TensorDictPrimer(
-            {self.key: Unbounded((gru.num_layers, gru.hidden_size))}, expand_specs=True
+            {place: begins[key][0] for key, place in self.keys.items()},
+            default_value={place: begins[key][1] for key, place in self.keys.items()},
+            expand_specs=True,
         )
 
 
-def memories(networks: Iterable[Any], mirrors: Mapping[str, Mirror]) -> list[MirroredMemory]:
+def memories(networks: Iterable[Any], mirrors: Mapping[NestedKey, Mirror]) -> list[MirroredMemory]:
     """A mirrored memory for each of the networks that has one."""
-    found = []
-    for network in networks:
-        if recurrent_keys(network):
-            parts = network[0] if isinstance(network, ProbabilisticActor) else network
-            found.append(MirroredMemory(network, mirrors[parts[0].in_keys[0]]))
-    return found
+    return [MirroredMemory(network, mirrors) for network in networks if recurrent_keys(network)]
 
 
-def _where(rows: Tensor, image: Tensor, kept: Tensor) -> Tensor:
-    return torch.where(rows.reshape(-1, *[1] * (kept.dim() - 1)), image, kept)
+def seen_by(networks: Iterable[Any]) -> list[NestedKey]:
+    """What networks see of the world: all that they read but their memory and ``is_init``."""
+    keys = [key for network in networks for key in network.in_keys if key != "is_init"]
+    memory = {key for network in networks for key in recurrent_keys(network)}
+    return list(dict.fromkeys(key for key in keys if key not in memory))
+
+
+def _check_seen(networks: Iterable[Any], mirrors: Mapping[NestedKey, Mirror]) -> None:
+    for key in seen_by(networks):
+        if key not in mirrors:
+            names = ", ".join(str(name) for name in mirrors)
+            raise ValueError(
+                f"mirrors must have all that networks see, {key} is missing ({names})."
+            )
+
+
+def _name_of(key: NestedKey) -> str:
+    return key if isinstance(key, str) else "/".join(key)
+
+
+def _image_key(key: NestedKey) -> NestedKey:
+    return f"{key}_mirrored" if isinstance(key, str) else (*key[:-1], f"{key[-1]}_mirrored")

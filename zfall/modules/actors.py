@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import torch
+from tensordict import NestedKey, unravel_key
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite
@@ -239,10 +240,10 @@ def normalizer_of(module: nn.Module) -> ObservationNormalizer | None:
     return next(parts, None)
 
 
-def recurrent_keys(module: nn.Module) -> list[str]:
+def recurrent_keys(module: nn.Module) -> list[NestedKey]:
     """Names of the hidden states that a network carries from step to step.
 
     Those that it reads, and whose successor it writes under ``("next", name)``.
     """
     reads, writes = cast(Any, module).in_keys, cast(Any, module).out_keys
-    return [key for key in reads if ("next", key) in writes]
+    return [key for key in reads if unravel_key(("next", key)) in writes]

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torchrl.modules import GRUModule
 
-_MEMORY_OF = "memory_of"  # of a sequence: whose memory it borrows, -1 for none
+BORROWED = "memory_of"  # key of a sequence: whose memory it borrows, -1 for none
 
 # A gradient by an argument, from that by the value: one operation for three.
 sigmoid_backward, tanh_backward = torch.ops.aten.sigmoid_backward, torch.ops.aten.tanh_backward
@@ -39,6 +39,7 @@ class StackedGRU(GRUModule):
         hidden: key of the hidden state.
     """
 
+    lends_memory = True  # see ``zfall.modules.memory``
     gru: nn.GRU
 
     def __init__(self, size: int, num_layers: int, in_key: str, out_key: str, hidden: str):
@@ -66,12 +67,12 @@ class StackedGRU(GRUModule):
         return tensordict
 
     def _sequences(self, tensordict: TensorDictBase) -> TensorDictBase:
-        keys = [key for key in (*self.in_keys, _MEMORY_OF) if key in tensordict.keys()]
+        keys = [key for key in (*self.in_keys, BORROWED) if key in tensordict.keys()]
         rows = tensordict.select(*keys).reshape(-1, tensordict.shape[-1])
         value, memories, begins = (rows[key] for key in self.in_keys)
         own, lenders = len(rows), torch.empty(0, dtype=torch.int64)
-        if _MEMORY_OF in keys:
-            own, lenders = _lenders(rows[_MEMORY_OF])
+        if BORROWED in keys:
+            own, lenders = _lenders(rows[BORROWED])
         goes_on = (~begins[:own]).to(value.dtype).transpose(0, 1)  # (T, N, 1): steps in front
         memories = torch.where(begins[:own, 0, :, None], 0.0, memories[:own, 0])
         memories = memories.transpose(0, 1).contiguous()
@@ -88,17 +89,17 @@ class StackedGRU(GRUModule):
 def borrow_memory(sequences: TensorDictBase) -> TensorDictBase:
     """Sequences ``(N, T)`` that are seen, step by step, with the memory of those of a batch.
 
-    The n-th borrows from the n-th of the batch that goes through the network with them, see
-    ``together``.
+    The n-th borrows from the n-th of what goes through the network in front of them, see
+    ``together``: the first batch that has memories of its own.
     """
     rows = torch.arange(len(sequences))[:, None]
-    return sequences.copy().set(_MEMORY_OF, rows.expand(sequences.shape))
+    return sequences.copy().set(BORROWED, rows.expand(sequences.shape))
 
 
 def together(
     batches: Sequence[TensorDictBase], keys: Iterable[NestedKey]
 ) -> tuple[TensorDictBase, list[slice]]:
-    """Several batches in one, the first in front, those that borrow memory last.
+    """Several batches in one, in their order, but those that borrow memory last.
 
     Args:
         batches: each ``(M, ...)``.
@@ -108,13 +109,13 @@ def together(
         All of them, and where each lies in it.
     """
     keys = list(keys)
-    borrows = [_MEMORY_OF in batch.keys() for batch in batches]
+    borrows = [BORROWED in batch.keys() for batch in batches]
     order = sorted(range(len(batches)), key=lambda i: borrows[i])
     parts = [batches[i].select(*keys) for i in order]
     if any(borrows):
         for part, i in zip(parts, order, strict=True):
             own = torch.full(part.shape, -1)
-            part[_MEMORY_OF] = batches[i][_MEMORY_OF] if borrows[i] else own
+            part[BORROWED] = batches[i][BORROWED] if borrows[i] else own
     places, start = [slice(0)] * len(batches), 0
     for i in order:
         places[i] = slice(start, start + len(batches[i]))

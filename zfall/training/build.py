@@ -88,7 +88,7 @@ def followers(critic: Any, losses: Losses) -> list[Any]:
     along = [critic] if recurrent_keys(critic) else []
     asking = [*losses.auxiliary.values(), losses.augmentation]
     memories = [memory for loss in asking for memory in getattr(loss, "memories", ())]
-    return along + list({memory.key: memory for memory in memories}.values())
+    return along + list({tuple(memory.keys.items()): memory for memory in memories}.values())
 
 
 def acting_policy(actor: Any, along: list[Any], spec: Composite) -> Any:

@@ -9,8 +9,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import NestedKey, TensorDictBase
 from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type
-from torchrl.modules.utils import get_primers_from_module
 
+from zfall.modules.memory import memory_primer
 from zfall.simulation.turns import in_turns, physics_first
 
 PAYS_FROM = 256  # worlds in all: with fewer, two calls take longer than the physics beside them
@@ -70,10 +70,14 @@ class Worlds:
         """What all worlds are in ``(N,)``, before the coming step."""
         return self.carriers[0] if len(self.carriers) == 1 else torch.cat(self.carriers)
 
-    def remember(self, module: torch.nn.Module) -> None:
-        """Has the envs carry the memory of a recurrent module; before ``begin``."""
+    def remember(self, module: torch.nn.Module, place: str) -> None:
+        """Has the envs carry the memory of a recurrent module; before ``begin``.
+
+        Raises:
+            ValueError: if the module, called ``place``, does not say how its memory begins.
+        """
         for env in self.envs:
-            env.append_transform(get_primers_from_module(module))
+            env.append_transform(memory_primer(module, place))
 
     def begin(self, seed: int) -> None:
         """Seeds the envs, each by what TorchRL makes of the seed before it, and resets them."""

@@ -23,7 +23,7 @@ from zfall.simulation.model import identity_of
 from zfall.training import build
 from zfall.training.checks import check_finite, check_task, whole_config
 from zfall.training.collection import Worlds
-from zfall.training.losses import buffers_of, check_reads
+from zfall.training.losses import buffers_of, check_networks, check_reads
 from zfall.training.minibatches import (
     divergence_of,
     drawn_samples,
@@ -63,7 +63,7 @@ class Learner:
         self._remembering = [m for m in (self.actor, *along) if recurrent_keys(m)]
         hidden = [key for module in self._remembering for key in recurrent_keys(module)]
         for module in self._remembering:
-            self.worlds.remember(module)
+            self.worlds.remember(module, "critic" if module is self.critic else "actor")
         if cfg.burn_in and not hidden:
             raise ValueError(f"burn_in must be 0 without memory to refresh, got {cfg.burn_in}.")
         self._acting = build.acting_policy(self.actor, along, spec)
@@ -84,6 +84,7 @@ class Learner:
             )
         self.worlds.begin(cfg.seed)
         given = {*self.carrier.keys(True, True), *self._acting.out_keys, *self.env.reward_keys}
+        check_networks({"actor": self.actor, "critic": self.critic}, given)
         check_reads(self.losses.by_place, given | {"state_value", "advantage", "value_target"})
         self.frames = self.updates = 0
 

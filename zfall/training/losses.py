@@ -161,6 +161,22 @@ def check_losses(losses: Mapping[str, Any], trained: Iterable[torch.nn.Parameter
                 )
 
 
+def check_networks(networks: Mapping[str, Any], given: Iterable[Any]) -> None:
+    """Refuses networks, by their place, that read what is not there.
+
+    Raises:
+        ValueError: naming the key; a hidden state without a successor is one.
+    """
+    given = set(given)
+    for place, network in networks.items():
+        for key in network.in_keys:
+            if key not in given:
+                raise ValueError(
+                    f"{place} must read what the env gives, not {key}; of a hidden state it must "
+                    f"write the successor, under {unravel_key(('next', key))} in its out_keys."
+                )
+
+
 def check_reads(losses: Mapping[str, Any], given: Iterable[Any]) -> None:
     """Refuses losses, by their place, that read what is not there.
 
