@@ -20,12 +20,12 @@ from zfall.evaluation.results import write_comparison
 from zfall.evaluation.run import run_or_read, setting_name
 from zfall.evaluation.single_trial import show_trial
 
-from .shell import one_line_errors, start
+from .shell import choice, one_line_errors, servo_change, start
 
 OPTIONS = ["point", "duration", "directions", "impulses", "starts", "force_starts", "resolution"]
 OPTIONS += ["end_time"]
 KEYS = {"run", "runs", "battery", "checkpoint", "num_envs", "seed", "env", "keep", "trial", "video"}
-KEYS |= {"joint", "servo", "change", *OPTIONS}
+KEYS |= {"joint", "change", *OPTIONS}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
@@ -40,10 +40,10 @@ def main(cfg: DictConfig) -> None:
         names = names_of(cfg, battery)
         candidates = load_candidates(
             names,
-            task=cfg.get("env"),
+            task=cfg.env if choice("env") else None,
             default_task=kind_of(battery).baseline_task,
             checkpoint=cfg.checkpoint,
-            change=[*([] if cfg.servo is None else [f"servo={cfg.servo}"]), *cfg.change],
+            change=[*servo_change(), *cfg.change],
             keep=cfg.keep,
         )
         setting = setting_of(cfg, options)
@@ -117,7 +117,7 @@ def setting_of(cfg: DictConfig, options: dict[str, Any]) -> str:
     stored = table_of(name)
     differs = {str(key): v for key, v in cfg.battery.items() if v != stored[key]}
     given = options | {key: v for key, v in differs.items() if key not in options}
-    given |= {"servo": cfg.servo} if cfg.servo is not None else {}
+    given |= {"servo": choice("servo")} if choice("servo") else {}
     given |= {"change": cfg.change} if cfg.change else {}
     given |= {"keep": sorted(cfg.keep)} if cfg.keep else {}
     given |= {"seed": cfg.seed} if cfg.seed != 0 else {}

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -23,9 +22,9 @@ from zfall.evaluation.play import walk
 from zfall.evaluation.video import film, frame
 from zfall.modules.actors import recurrent_keys
 
-from .shell import one_line_errors, start
+from .shell import choice, one_line_errors, servo_change, start
 
-KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "servo", "video"}
+KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "video"}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -34,10 +33,8 @@ def main(cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors():
         check_values(cfg)
-        task = cfg.get("env")
-        given: dict[str, Any] = {} if task is None else {"task": task}
-        given |= {} if cfg.servo is None else {"change": [f"servo={cfg.servo}"]}
-        player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, **given)
+        given = {"task": cfg.env} if choice("env") else {}
+        player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=servo_change(), **given)
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         world = {"num_envs": worlds, "powered": player.servos}
@@ -84,7 +81,7 @@ def check_values(cfg: DictConfig) -> None:
     names = baseline_names()
     if cfg.run is None:
         raise ValueError(f"run must be a run folder, a policy that ships or {' or '.join(names)}.")
-    if cfg.run not in names and cfg.get("env") is not None:
+    if cfg.run not in names and choice("env"):
         raise ValueError(f"env must be given for baselines alone, {cfg.run} has its own.")
     check_lists(cfg, ["keep"])
     check_whole(cfg, ["num_envs"], 1)

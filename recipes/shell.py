@@ -41,3 +41,15 @@ def one_line_errors() -> Iterator[None]:
             with suppress(OmegaConfBaseException):  # it failed before it had a folder
                 remove_if_empty(Path(HydraConfig.get().runtime.output_dir))
         raise SystemExit(f"error: {in_one_line(error)}") from None
+
+
+def choice(group: str) -> str | None:
+    """The option that was chosen from a group of yaml files; ``None`` if none was."""
+    chosen = HydraConfig.get().runtime.choices.get(group)
+    return None if chosen in (None, "null") else str(chosen)
+
+
+def servo_change() -> list[str]:
+    """The change of an env that ``servo=NAME`` asks for, see ``zfall.envs.tables.changed``."""
+    chosen = choice("servo")
+    return [] if chosen is None else [f"servo={chosen}"]
