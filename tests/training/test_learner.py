@@ -695,6 +695,18 @@ def test_what_a_loss_and_the_scheduler_remember_is_resumed(compose_config):
     assert resumed.scheduler.last_kl == learner.scheduler.last_kl > 0
 
 
+def test_a_resumed_training_uses_as_many_threads_as_before(compose_config):
+    """Their number decides in which order sums are rounded."""
+    small = ("num_envs=4", "rollout_steps=4")
+    state = Learner(compose_config(*small)).state_dict()
+    assert state["threads"] == torch.get_num_threads() == 1
+    try:
+        Learner(compose_config(*small)).load_state_dict(state | {"threads": 2})
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+
+
 class Misnamed(LossModule):
     """A loss whose value nobody would add."""
 

@@ -254,6 +254,7 @@ class Learner:
             "buffers": {key: value.clone() for key, value in self._buffers().items()},
             "worlds": self.worlds.state_dict(),
             "rng": torch.get_rng_state(),
+            "threads": torch.get_num_threads(),
             "frames": self.frames,
             "updates": self.updates,
         }
@@ -281,6 +282,8 @@ class Learner:
         for key, value in self._buffers().items():
             value.copy_(state["buffers"][key])
         torch.set_rng_state(state["rng"])
+        # Sums over parts, one for each thread, are rounded in another order with another number.
+        torch.set_num_threads(state.get("threads", torch.get_num_threads()))
         self.frames, self.updates = state["frames"], state["updates"]
 
 

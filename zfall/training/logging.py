@@ -1,5 +1,6 @@
 """Loggers of a training: TorchRL's, or a class of one's own with the same methods."""
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -89,6 +90,25 @@ def _filled(value: Any, words: Mapping[str, str], place: str) -> Any:
         raise ValueError(
             f"{place} must have no words in braces but {known}, got {value}."
         ) from None
+
+
+@contextmanager
+def quiet_threads() -> Iterator[None]:
+    """Lets threads of loggers fail at a file without a traceback: they raise it in the next call.
+
+    TensorBoard's does.
+    """
+    previous = threading.excepthook
+
+    def hook(failed: threading.ExceptHookArgs) -> None:
+        if not issubclass(failed.exc_type, OSError):
+            previous(failed)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = previous
 
 
 @contextmanager

@@ -17,8 +17,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from zfall import checkpoint
 from zfall.training.learner import Learner
+from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
-from zfall.training.run_folder import RunFolder, check_version
+from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
 from zfall.training.warm_start import warm_start
 
 
@@ -58,16 +59,21 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
 
     Returns:
         Whether it came to its end; False if ctrl-c ended it early.
+
+    Raises:
+        ValueError: if another process trains there.
     """
-    learner, run = Learner(cfg), RunFolder(folder, cfg)
-    if (folder / "checkpoints" / "last.pt").exists():
-        state = checkpoint.load(folder / "checkpoints" / "last.pt")
-        check_version(state["run"], folder)
-        learner.load_state_dict(state)
-        run.load_state_dict(state["run"])
-    elif cfg.warm_start is not None:
-        warm_start(learner, cfg.warm_start)
-    return train(learner, run, console)
+    with owned(folder):
+        learner, run = Learner(cfg), RunFolder(folder, cfg)
+        if (folder / "checkpoints" / "last.pt").exists():
+            state = checkpoint.load(folder / "checkpoints" / "last.pt")
+            check_version(state["run"], folder)
+            learner.load_state_dict(state)
+            for line in run.load_state_dict(state["run"]):
+                console.print(line, soft_wrap=True)
+        elif cfg.warm_start is not None:
+            warm_start(learner, cfg.warm_start)
+        return train(learner, run, console)
 
 
 def number_of_updates(learner: Learner) -> int:
@@ -79,7 +85,13 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
     """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = number_of_updates(learner)
-    with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
+    with (
+        full_disk_named(run.folder),
+        quiet_threads(),
+        progress_bar(console) as bar,
+        garbage_collector_of_new_things(),
+        first_ctrl_c() as stop,
+    ):
         task = bar.add_task("train", total=total, completed=learner.updates, note="")
         while learner.updates < total:
             times = [time.perf_counter()]
@@ -90,7 +102,7 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
             metrics = batch_metrics(batch, learner.carrier, control_dt)
             figures = learner.exploration(batch) if run.loggers else {}
             run.write(learner, metrics, losses, times, figures)
-            if learner.updates % cfg.checkpoint_every == 0 or learner.updates == total:
+            if learner.updates % cfg.checkpoint_every == 0 or learner.updates in (1, total):
                 run.save_last_and_best(learner)
             seconds = times[-1] - times[0]
             note = (

@@ -1,6 +1,6 @@
 """The folder of a training run, and the files in it."""
 
-import csv
+import errno
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -8,14 +8,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
 from zfall import checkpoint
 from zfall.commands import remove_if_empty
 from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
+from zfall.training.rows import append_row, keep_rows
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
+LOCK = ".lock"  # file in the folder of a run that trains
 WINDOW = 10  # updates over which the best checkpoint is looked for
 
 
@@ -26,6 +29,56 @@ def removed_if_unused(folder: Path) -> Iterator[None]:
         yield
     finally:
         remove_if_empty(folder)
+
+
+@contextmanager
+def owned(folder: Path) -> Iterator[None]:
+    """Keeps other processes of this machine from training in a folder, which is made if need be.
+
+    The lock is the system's: it ends with the process, however that ends.
+
+    Raises:
+        ValueError: if another process trains there.
+        OSError: if the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(f"the run folder must be writable, {folder} is not.")
+    lock = FileLock(folder / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ValueError(
+            f"a run folder must have one process that trains in it, another trains in {folder}: "
+            "wait for its end, or stop it."
+        ) from None
+    try:
+        yield
+    finally:
+        (folder / LOCK).unlink(missing_ok=True)  # first, or another's lock would be removed
+        lock.release()
+
+
+def holds_run(folder: Path) -> bool:
+    """Whether something was trained in a folder."""
+    return any((folder / name).exists() for name in ("metrics.csv", "checkpoints/last.pt"))
+
+
+@contextmanager
+def full_disk_named(folder: Path) -> Iterator[None]:
+    """Says of a disk that is full where that is, and what is left of the run.
+
+    Raises:
+        OSError: in place of the one that came.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        last = folder / "checkpoints" / "last.pt"
+        repair = f"make room and go on with resume={folder}" if last.exists() else "make room"
+        raise OSError(f"the disk of {folder} must have room, got {error}; {repair}.") from error
 
 
 def write_config(cfg: DictConfig, overrides: Sequence[str], folder: Path) -> None:
@@ -52,23 +105,19 @@ class RunFolder:
     """The files of a run: metrics, timings, checkpoints, and what its loggers write.
 
     Args:
-        folder: the run folder.
+        folder: the run folder, see ``owned``.
         cfg: of the training, whose ``logger`` and ``name`` are read.
-
-    Raises:
-        OSError: if it cannot be written.
     """
 
     def __init__(self, folder: Path, cfg: DictConfig):
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        if not os.access(folder, os.W_OK):
-            raise PermissionError(f"hydra.run.dir must be writable, {folder} is not.")
         self.loggers = Loggers(cfg.get("logger") or [], folder, cfg.get("name"))
         (folder / "checkpoints").mkdir(exist_ok=True)  # by which a folder is known to be a run's
         self.last = {"episode_return": math.nan, "episode_seconds": math.nan}
         self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
         self.best: tuple[float, ...] = ()
+        self.columns: dict[str, list[str]] = {}  # of its csv files
 
     def write(
         self,
@@ -100,8 +149,8 @@ class RunFolder:
             "learn_s": ended - collected,
             "frames_per_s": learner.frames_per_batch / (ended - began),
         }
-        append_row(self.folder / "metrics.csv", row)
-        append_row(self.folder / "timing.csv", timing)
+        for name, figures_of_update in (("metrics.csv", row), ("timing.csv", timing)):
+            self.columns[name] = append_row(self.folder / name, figures_of_update)
         self.loggers.log(row | figures | {"frames_per_s": timing["frames_per_s"]}, learner.frames)
 
     def note(self, metrics: dict[str, float]) -> None:
@@ -115,11 +164,12 @@ class RunFolder:
 
         Better is a higher level of the curriculum (in hundredths), then a higher return of the
         episodes that ended, both in the mean over the last ten updates; with fewer than ten, later.
+        As long as no episode has ended, the last is the best.
         """
         levels, returns = zip(*self.recent, strict=True) if self.recent else ((), ())
         count = max(1, len(self.recent))
         score = (len(self.recent), round(sum(levels) / count, 2), sum(returns) / count)
-        if score > self.best:
+        if score > self.best or not self.recent:
             self.best = score
             self.save(learner, "best")
         self.save(learner, "last")
@@ -137,25 +187,24 @@ class RunFolder:
             "last": self.last,
             "recent": self.recent,
             "best": self.best,
+            "columns": self.columns,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from a checkpoint: rows written after it are dropped."""
+    def load_state_dict(self, state: dict[str, Any]) -> list[str]:
+        """Goes on from a checkpoint: rows written after it are dropped.
+
+        Returns:
+            What its files have lost, a line for each that was damaged; training goes on without.
+        """
         self.last, self.recent, self.best = state["last"], state["recent"], state["best"]
+        self.columns = dict(state.get("columns", {}))
+        lost = []
         for name in ("metrics.csv", "timing.csv"):
             path = self.folder / name
-            header, *rows = path.read_text().splitlines(keepends=True)
-            whole = (row for row in rows if row.endswith("\n"))
-            kept = [row for row in whole if int(row.split(",", 1)[0]) <= state["updates"]]
-            path.with_suffix(".tmp").write_text("".join([header, *kept]))
-            path.with_suffix(".tmp").replace(path)
-
-
-def append_row(path: Path, row: dict[str, Any]) -> None:
-    """Adds a row to a csv file, with a header if it is the first."""
-    new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(row), lineterminator="\n")
-        if new:
-            writer.writeheader()
-        writer.writerow(row)
+            missing = keep_rows(path, self.columns.get(name, ()), state["updates"])
+            if missing:
+                lost.append(
+                    f"{path} has lost {missing} of {state['updates']} rows; the checkpoint is "
+                    "sound, training goes on without them."
+                )
+        return lost
