@@ -11,6 +11,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
 from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS, load_bank
 from zfall.falling.files import own_file
@@ -71,6 +72,7 @@ class FallingStart(Transform):
         alike: int = 1,
     ):
         super().__init__()
+        needs_env(self, env, "the begin of episodes")
         if type(alike) is not int or alike < 1:
             raise ValueError(f"alike must be a whole number, at least 1, got {alike}.")
         if not 0 < share <= 1:
@@ -86,7 +88,7 @@ class FallingStart(Transform):
         seen = SEEN_KEYS if all(key in states for key in SEEN_KEYS) else ()
         states = {key: states[key] for key in (*STATE_KEYS, *rest, *seen)}
         self.share, self.pushed, self.alike = share, pushed, alike
-        self.num_envs, self.rng = env.num_envs, env.rng
+        self.num_envs = env.num_envs
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
         self.table = torch.cat(list(states.values()), -1)
         self.seen = dict.fromkeys(seen[1:], torch.empty(0))  # the target is part of the start
@@ -98,7 +100,7 @@ class FallingStart(Transform):
         }
         if not pushed:
             return
-        self.torso, self.add_force = env.push_target("torso"), env.add_force
+        self.torso = env.push_target("torso")
         self.control_dt, self.physics_dt = env.control_dt, env.physics_dt
         self.number = torch.arange(env.substeps)
         self.register_buffer("force", torch.zeros(env.num_envs, 3))
@@ -124,8 +126,8 @@ class FallingStart(Transform):
             tensordict = TensorDict(batch_size=[self.num_envs])
         # All rows are drawn, so that the random stream does not depend on who fell.
         count = -(-self.num_envs // self.alike)
-        row = torch.randint(len(self.table), (count,), generator=self.rng)
-        chance = torch.rand(count, 1, generator=self.rng)
+        row = torch.randint(len(self.table), (count,), generator=base_env_of(self).rng)
+        chance = torch.rand(count, 1, generator=base_env_of(self).rng)
         siblings = torch.arange(self.num_envs) // self.alike
         row, chance = row[siblings], chance[siblings]
         falls = chance < per_world(self.share, 2)
@@ -137,7 +139,7 @@ class FallingStart(Transform):
         if target is not None:
             tensordict["start", "target"] = torch.where(falls, target, torch.nan)
         if self.pushed:
-            new = reset_rows(tensordict)[:, None]
+            new = reset_rows(tensordict, self)[:, None]
             for name in ("force", "left"):
                 value = torch.where(falls, values.pop(f"push_{name}"), 0.0)
                 setattr(self, name, torch.where(new, value, getattr(self, name)))
@@ -160,7 +162,7 @@ class FallingStart(Transform):
         if self.pushed:
             gained = self.force * self.left / self.mass
             speed = (tensordict_reset["com_velocity"] + gained)[:, :2].norm(dim=-1, keepdim=True)
-            self.speed = torch.where(reset_rows(tensordict)[:, None], speed, self.speed)
+            self.speed = torch.where(reset_rows(tensordict, self)[:, None], speed, self.speed)
         for name, value in self.seen.items():
             there = tensordict_reset[name]
             seen = value.view_as(there)
@@ -181,4 +183,4 @@ class FallingStart(Transform):
         steps = (self.left[rows] / self.physics_dt).round()
         acts = (self.number < steps)[..., None] * self.force[rows, None]
         self.left = (self.left - self.control_dt).clamp_min(0.0)
-        return self.add_force(tensordict, self.torso, acts, rows)
+        return base_env_of(self).add_force(tensordict, self.torso, acts, rows)

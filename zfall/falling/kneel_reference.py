@@ -10,6 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.mirror import mirror_quantity
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import per_world, reset_rows
 from zfall.falling.movements import catches_path, load_catches
@@ -70,6 +71,7 @@ class KneelReference(Transform):
         catches: str | None = None,
     ):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])
+        needs_env(self, env, "a memory of each world's commands")
         robot = env.robot
         kneel = torch.tensor(robot.posture("kneel"))
         landing = math.inf if landing is None else landing
@@ -98,6 +100,7 @@ class KneelReference(Transform):
         return angles[..., self.mirror_index] * self.mirror_sign
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        base_env_of(self)
         mode = tensordict.get("mode", None)
         if mode is None:
             raise ValueError("KneelReference needs the key mode: put a ModeMachine into the table.")
@@ -138,7 +141,7 @@ class KneelReference(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.way = torch.where(rows[:, None], self.stand, self.way)
         self.choice = torch.where(rows, self.none, self.choice)
         self.clock = torch.where(rows, 0, self.clock)

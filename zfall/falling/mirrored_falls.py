@@ -10,6 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.mirror import mirror_vector, mirrors_of
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations import (
     CAPSNeighbours,
     NormalizedVector,
@@ -52,6 +53,7 @@ class MirroredFalls(Transform):
 
     def __init__(self, env: HumanoidEnv):
         super().__init__(in_keys=["mode"], out_keys=["fall_mirrored"])
+        needs_env(self, env, "a memory of each world")
         self.robot, self.joint_range = env.robot, env.joint_range
         self.vectors: dict[str, ObservationVector | NormalizedVector] = {}
         self.images: dict[str, Mirror] = {}
@@ -83,6 +85,7 @@ class MirroredFalls(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         return self._reflect(tensordict_reset, _to_the_left(tensordict_reset))
 
     def _reflect(self, tensordict: TensorDictBase, left: Tensor) -> TensorDictBase:

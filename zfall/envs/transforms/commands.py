@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.pushes.draws import between, check_range
 from zfall.envs.transforms.values import reset_rows
 
@@ -58,6 +59,7 @@ class Command(Transform):
         interval: Sequence[float] | None = None,
     ):
         super().__init__(in_keys=[], out_keys=["command"])
+        needs_env(self, env, "a memory of each world")
         for name, bounds in (ranges or {}).items():
             if name not in ENTRIES:
                 raise ValueError(f"ranges must be of {', '.join(ENTRIES)}, got {name!r}.")
@@ -70,7 +72,7 @@ class Command(Transform):
                     f"got {list(interval)}."
                 )
         self.ranges = {name: list(bounds) for name, bounds in (ranges or {}).items()}
-        self.interval, self.control_dt, self.rng = interval, env.control_dt, env.rng
+        self.interval, self.control_dt = interval, env.control_dt
         self.register_buffer("command", torch.zeros(env.num_envs, len(ENTRIES)))
         # Until the next draw [s]; float64, as times add up over episodes.
         self.register_buffer("rest", torch.full((env.num_envs,), torch.inf, dtype=torch.float64))
@@ -85,12 +87,14 @@ class Command(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         if self.ranges:
-            self._draw(reset_rows(tensordict))
+            self._draw(reset_rows(tensordict, self))
         return tensordict_reset.set("command", self.command.clone())
 
     def _draw(self, rows: Tensor) -> None:
         """New commands for the worlds in ``rows`` ``(N,)`` bool."""
-        u = torch.rand(len(self.ranges) + 1, len(rows), generator=self.rng)  # all: one stream
+        u = torch.rand(
+            len(self.ranges) + 1, len(rows), generator=base_env_of(self).rng
+        )  # all: one stream
         for value, (name, bounds) in zip(u, self.ranges.items(), strict=False):
             entry = self.command[:, ENTRIES.index(name)]
             entry.copy_(torch.where(rows, between(bounds, value), entry))

@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.simulation.parameters import ANY_NUMBER
 
 _COUNTS = {"steps", "max_steps", "rule"}  # fields in whole steps, not of one world
@@ -57,6 +58,7 @@ class Curriculum(Transform):
         success: str | None = None,
     ):
         super().__init__()
+        needs_env(self, env, "the ends of episodes")
         if not 0.0 <= level <= 1.0:
             raise ValueError(f"level must lie in [0, 1], got {level}.")
         for name, value in (("up", up), ("down", down)):
@@ -156,6 +158,7 @@ class Curriculum(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         return tensordict_reset.set("curriculum_level", self.level[:, None].clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

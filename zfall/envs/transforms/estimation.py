@@ -16,6 +16,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.values import reset_rows
 from zfall.rotations import roll_and_pitch
@@ -105,6 +106,7 @@ class TiltKalmanFilter(Transform):
             in_keys=["base_acceleration", "base_angular_velocity", "projected_gravity"],
             out_keys=["tilt", ("measured", "tilt"), ("measured", "gyro_bias")],
         )
+        needs_env(self, env, "a memory of each world")
         values = {"gyro_std": gyro_std, "bias_rate": bias_rate, "angle_std": angle_std}
         for name, value in values.items():
             if not value > 0:
@@ -140,7 +142,7 @@ class TiltKalmanFilter(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)[:, None]
+        rows = reset_rows(tensordict, self)[:, None]
         true = roll_and_pitch(-tensordict_reset["projected_gravity"])
         start = torch.stack([true, torch.zeros_like(true)], -1)
         rate = read_measured(tensordict_reset, "base_angular_velocity")[..., :2]
@@ -186,6 +188,7 @@ class JointVelocityKalmanFilter(Transform):
         self, env: HumanoidEnv, *, position_std: float = 0.01, acceleration_std: float = 10.0
     ):
         super().__init__(in_keys=["joint_position"], out_keys=[("measured", "joint_velocity")])
+        needs_env(self, env, "a memory of each world")
         values = {"position_std": position_std, "acceleration_std": acceleration_std}
         for name, value in values.items():
             if not value > 0:
@@ -208,7 +211,7 @@ class JointVelocityKalmanFilter(Transform):
     ) -> TensorDictBase:
         angle = read_measured(tensordict_reset, "joint_position")
         start = torch.stack([angle, tensordict_reset["joint_velocity"]], -1)
-        self.state = torch.where(reset_rows(tensordict)[:, None, None], start, self.state)
+        self.state = torch.where(reset_rows(tensordict, self)[:, None, None], start, self.state)
         return tensordict_reset.set(("measured", "joint_velocity"), self.state[..., 1].clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -241,6 +244,7 @@ class NumericalVelocity(Transform):
 
     def __init__(self, env: HumanoidEnv):
         super().__init__(in_keys=["joint_position"], out_keys=[("measured", "joint_velocity")])
+        needs_env(self, env, "a memory of each world")
         self.control_dt = env.control_dt
         self.register_buffer("previous", env.stand_position.repeat(env.num_envs, 1))
 
@@ -254,7 +258,7 @@ class NumericalVelocity(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         angle = read_measured(tensordict_reset, "joint_position")
-        self.previous = torch.where(reset_rows(tensordict)[:, None], angle, self.previous)
+        self.previous = torch.where(reset_rows(tensordict, self)[:, None], angle, self.previous)
         velocity = tensordict_reset["joint_velocity"].clone()
         return tensordict_reset.set(("measured", "joint_velocity"), velocity)
 

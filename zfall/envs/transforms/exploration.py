@@ -9,6 +9,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 
 
@@ -37,13 +38,14 @@ class CorrelatedNoise(Transform):
 
     def __init__(self, env: HumanoidEnv, *, correlation: float):
         super().__init__(out_keys=["exploration_noise"])
+        needs_env(self, env, "a memory of each world")
         if not 0 <= correlation < 1:
             raise ValueError(f"correlation must lie in [0, 1), got {correlation}.")
-        self.correlation, self.rng = correlation, env.rng
+        self.correlation = correlation
         self.register_buffer("noise", torch.zeros(env.num_envs, len(env.stand_position)))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        fresh = torch.randn(self.noise.shape, generator=self.rng)
+        fresh = torch.randn(self.noise.shape, generator=base_env_of(self).rng)
         rest = math.sqrt(1.0 - self.correlation**2)
         self.noise = self.correlation * self.noise + rest * fresh
         return next_tensordict.set("exploration_noise", self.noise)
@@ -52,8 +54,8 @@ class CorrelatedNoise(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         # All rows are drawn, so that the random stream does not depend on who fell.
-        fresh = torch.randn(self.noise.shape, generator=self.rng)
-        self.noise = torch.where(reset_rows(tensordict)[:, None], fresh, self.noise)
+        fresh = torch.randn(self.noise.shape, generator=base_env_of(self).rng)
+        self.noise = torch.where(reset_rows(tensordict, self)[:, None], fresh, self.noise)
         return tensordict_reset.set("exploration_noise", self.noise)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -17,7 +17,6 @@ class Lags:
         max_delay: largest value that ``delay`` may be given later [s].
         per: ``episode`` or ``step``, how long a delay holds.
         physics_dt: physics step [s].
-        rng: where random numbers come from.
 
     Raises:
         ValueError: if the delays are not in order within [0, max_delay], or ``per`` is unknown.
@@ -30,7 +29,6 @@ class Lags:
         max_delay: float,
         per: str,
         physics_dt: float,
-        rng: torch.Generator,
     ):
         low, high = two_numbers("delay", delay)
         if not 0 <= low <= high <= max_delay:
@@ -40,7 +38,7 @@ class Lags:
             )
         if per not in ("episode", "step"):
             raise ValueError(f"per must be episode or step, got {per!r}.")
-        self.per, self.physics_dt, self.rng = per, physics_dt, rng
+        self.per, self.physics_dt = per, physics_dt
         self.max_delay, self.longest = max_delay, round(max_delay / physics_dt)
 
     def ring(self, substeps: int, more: int) -> int:
@@ -50,18 +48,21 @@ class Lags:
         """
         return substeps * math.ceil((self.longest + more) / substeps)
 
-    def draw(self, delay: Sequence[float] | Tensor, shape: tuple[int, ...]) -> Tensor:
+    def draw(
+        self, delay: Sequence[float] | Tensor, shape: tuple[int, ...], rng: torch.Generator
+    ) -> Tensor:
         """Lags of ``shape`` ``(N,)`` or ``(N, J)`` [physics steps].
 
         Args:
             delay: bounds [s], one pair for all worlds or ``(2, N)``.
             shape: that of the result.
+            rng: where random numbers come from.
 
         Raises:
             ValueError: if a delay lies outside [0, max_delay].
         """
         low, high = (per_world(bound, len(shape)) for bound in delay)
-        seconds = low + (high - low) * torch.rand(shape, generator=self.rng)
+        seconds = low + (high - low) * torch.rand(shape, generator=rng)
         lag = torch.round(seconds / self.physics_dt).long()
         least, most = (float(bound) for bound in seconds.aminmax())
         if least < 0 or most > self.max_delay + 1e-6:  # float32

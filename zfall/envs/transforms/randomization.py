@@ -10,6 +10,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env, on_data
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 from zfall.rotations import rotate
 from zfall.simulation.parameters import ANY_NUMBER
@@ -48,6 +49,7 @@ class DomainRandomization(Transform):
         interval: float | None = None,
     ):
         super().__init__(in_keys_inv=["params"], out_keys_inv=["params"])
+        needs_env(self, env, "physics to act on")
         self.spec, self.ranges = env.physics_param_spec, env.parameters.ranges
         for name, distribution in params.items():
             if name not in self.spec.keys():
@@ -58,15 +60,14 @@ class DomainRandomization(Transform):
                 f"interval must be at least control_dt ({env.control_dt}), got {interval}."
             )
         self.params = {name: dict(value) for name, value in params.items()}
-        self.interval, self.control_dt, self.rng = interval, env.control_dt, env.rng
+        self.interval, self.control_dt = interval, env.control_dt
         self.num_envs = env.num_envs
-        self._set, self._values = env.set_physics_params, env.parameters.values
         self.register_buffer("clock", torch.zeros(env.num_envs))  # since the last draw [s]
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
-        self._draw(reset_rows(tensordict))
+        self._draw(reset_rows(tensordict, self))
         return tensordict
 
     def _reset(
@@ -85,18 +86,20 @@ class DomainRandomization(Transform):
         return self._write(next_tensordict)
 
     def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
+        values = base_env_of(self).parameters.values
         for name in self.params:  # replaced as a whole when drawn, never written into
-            tensordict["params", name] = self._values[name]
+            tensordict["params", name] = values[name]
         return tensordict
 
     def _draw(self, rows: Tensor) -> None:
+        env = base_env_of(self)
         drawn = {
             name: draw(
-                distribution, self.spec[name].shape, self.rng, self.ranges.get(name, ANY_NUMBER)
+                distribution, self.spec[name].shape, env.rng, self.ranges.get(name, ANY_NUMBER)
             )
             for name, distribution in self.params.items()
         }
-        self._set(TensorDict(drawn, batch_size=[self.num_envs]), rows)
+        env.set_physics_params(TensorDict(drawn, batch_size=[self.num_envs]), rows)
         if self.interval is not None:
             self.clock = torch.where(rows, 0.0, self.clock)
 
@@ -175,6 +178,8 @@ class JointZeroOffset(Transform):
     "joint_position")`` ``(N, J)`` [rad], their sum.
     """
 
+    forward = on_data
+
     def __init__(self) -> None:
         key = ("measured", "joint_position")
         super().__init__(in_keys=["joint_position"], out_keys=[key])
@@ -226,9 +231,10 @@ class ImuMisalignment(Transform):
         keys: Sequence[str] = ("projected_gravity", "base_angular_velocity", "base_acceleration"),
     ):
         super().__init__(in_keys=list(keys), out_keys=[("measured", key) for key in keys])
+        needs_env(self, env, "a memory of each world")
         if angle < 0:
             raise ValueError(f"angle must not be negative, got {angle}.")
-        self.angle, self.rng = angle, env.rng
+        self.angle = angle
         self.register_buffer("rotation", torch.zeros(env.num_envs, 3))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -246,8 +252,8 @@ class ImuMisalignment(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
-        u = 2.0 * torch.rand(len(rows), 3, generator=self.rng) - 1.0
+        rows = reset_rows(tensordict, self)
+        u = 2.0 * torch.rand(len(rows), 3, generator=base_env_of(self).rng) - 1.0
         angle = torch.as_tensor(self.angle).reshape(-1, 1)
         self.rotation = torch.where(rows[:, None], angle * u, self.rotation)
         return self._call(tensordict_reset)

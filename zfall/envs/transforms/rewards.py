@@ -10,6 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms import bind
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 
 
 class WeightedReward(Transform):
@@ -32,6 +33,7 @@ class WeightedReward(Transform):
         self, env: HumanoidEnv, *, terms: dict[str, tuple[float | None, Callable[..., Tensor]]]
     ):
         super().__init__()
+        needs_env(self, env, "the steps of its worlds")
         self.shape = (env.num_envs, 1)
         self.terms = {}
         for name, entry in terms.items():
@@ -68,6 +70,7 @@ class WeightedReward(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         zero = tensordict_reset["done"].float()
         for name in self.terms:
             tensordict_reset["reward_terms", name] = zero.clone()

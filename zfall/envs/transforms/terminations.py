@@ -10,6 +10,7 @@ from torchrl.envs import StepCounter, Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms import bind
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 
 
 class Terminations(Transform):
@@ -30,6 +31,7 @@ class Terminations(Transform):
 
     def __init__(self, env: HumanoidEnv, *, conditions: dict[str, Callable[..., Tensor] | None]):
         super().__init__()
+        needs_env(self, env, "the ends of episodes")
         self.shape = (env.num_envs, 1)
         for name, condition in conditions.items():
             if condition is not None and not callable(condition):
@@ -63,6 +65,7 @@ class Terminations(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         for name in self.conditions:
             tensordict_reset["terminations", name] = tensordict_reset["done"].clone()
         return tensordict_reset

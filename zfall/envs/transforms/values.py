@@ -7,14 +7,24 @@ from typing import Any
 
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs import Transform
 from torchrl.envs.transforms.utils import _get_reset
+
+from zfall.envs.transforms.base_env import base_env_of
 
 # Bounds of a field that ``Curriculum`` moves, in a transform's ``limits``.
 NOT_NEGATIVE, POSITIVE = (0.0, math.inf), (1e-6, math.inf)
 
 
-def reset_rows(tensordict: TensorDictBase) -> Tensor:
-    """The worlds that a reset touches ``(N,)`` bool."""
+def reset_rows(tensordict: TensorDictBase, transform: Transform | None = None) -> Tensor:
+    """The worlds that a reset touches ``(N,)`` bool.
+
+    Args:
+        tensordict: first argument of ``_reset``.
+        transform: whose memory is reset, if it has one; refused outside of its env.
+    """
+    if transform is not None:
+        base_env_of(transform)
     return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)
 
 

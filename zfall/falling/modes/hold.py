@@ -6,6 +6,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.modes.machine import STABLE
 
@@ -28,9 +29,11 @@ class StableHold(Transform):
     def __init__(self, env: HumanoidEnv):
         keys = ["target", "control"]
         super().__init__(in_keys_inv=keys, out_keys_inv=keys)
+        needs_env(self, env, "a memory of each world's commands")
         self.register_buffer("held", env.stand_position.repeat(env.num_envs, 1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        base_env_of(self)
         mode = tensordict.get("mode", None)
         if mode is None:
             raise ValueError("StableHold needs the key mode: put a ModeMachine into the table.")
@@ -45,6 +48,6 @@ class StableHold(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)[:, None]
+        rows = reset_rows(tensordict, self)[:, None]
         self.held = torch.where(rows, tensordict_reset["joint_position"], self.held)
         return tensordict_reset

@@ -13,6 +13,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.falls import body_contact
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import tilt
@@ -147,6 +148,7 @@ class ModeMachine(Transform):
         initial: str = "recover",
     ):
         super().__init__(in_keys=["base_orientation"], out_keys=["mode"])
+        needs_env(self, env, "a memory of each world")
         if initial not in MODES:
             raise ValueError(f"initial must be one of {', '.join(MODES)}, got {initial!r}.")
         if probability is not None and not 0 < probability < 1:
@@ -183,7 +185,7 @@ class ModeMachine(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.ahead = torch.where(rows, 0, self.ahead)
         self.behind = torch.where(rows, 0, self.behind)
         mode = torch.full((len(rows),), self.initial)

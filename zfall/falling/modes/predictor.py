@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import reset_rows
 
@@ -37,6 +38,7 @@ class FallPredictor(Transform):
 
     def __init__(self, env: HumanoidEnv, *, network: Any, keys: Sequence[str]):
         super().__init__(in_keys=list(keys), out_keys=["fall_probability"])
+        needs_env(self, env, "a memory of each world")
         known = getattr(network, "trained_with", None)
         for name, value in (("keys", list(keys)), ("control_dt", env.control_dt)):
             if known is not None and value != known[name]:
@@ -61,7 +63,7 @@ class FallPredictor(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.memory = torch.where(rows[:, None], 0.0, self.memory)
         return tensordict_reset.set("fall_probability", torch.zeros(len(rows), 1))
 

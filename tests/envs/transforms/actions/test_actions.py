@@ -127,7 +127,7 @@ def test_a_value_for_each_world_acts_there(make_base, send, cls, values, name):
     [
         (LowPass, {"time_constant": 0.0}, r"time_constant must be positive, got 0.0"),
         (ServoPlanner, {"velocity": -1.0}, r"velocity must be positive, got -1.0"),
-        (ServoPlanner, {"acceleration": 0.0}, r"acceleration must be positive, got 0.0"),
+        (ServoPlanner, {"acceleration": -1.0}, r"acceleration must be positive, or 0 .*got -1.0"),
         (Backlash, {"width": -0.1}, r"width must not be negative, got -0.1"),
         (Deadband, {"width": -0.1}, r"width must not be negative, got -0.1"),
         (JointVelocityTarget, {"limit": 0.0}, r"limit must be positive, got 0.0"),

@@ -7,6 +7,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.values import reset_rows
 
@@ -50,10 +51,9 @@ class ActuatorDelay(Transform):
         joints: str = "shared",
     ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        needs_env(self, env, "a memory of each world's commands")
         self.limits = {"delay": (0.0, max_delay)}
-        self._lags = Lags(
-            delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt, rng=env.rng
-        )
+        self._lags = Lags(delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt)
         if joints not in ("shared", "own"):
             raise ValueError(f"joints must be shared or own, got {joints!r}.")
         self.delay, self.per, self.joints, self.substeps = delay, per, joints, env.substeps
@@ -69,8 +69,8 @@ class ActuatorDelay(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
-            self.lag = self._lags.draw(self.delay, self.lag.shape)
-        commands, slot = read_commands(tensordict, self.substeps), int(self.slot)
+            self.lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
+        commands, slot = read_commands(self, tensordict, self.substeps), int(self.slot)
         length, end = self.history.shape[1], slot + self.substeps
         self.history[:, slot:end] = commands
         self.slot.fill_(end % length)
@@ -84,9 +84,9 @@ class ActuatorDelay(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         if self.per == "episode":
-            lag = self._lags.draw(self.delay, self.lag.shape)
+            lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
             self.lag = torch.where(rows.view(-1, *[1] * (lag.ndim - 1)), lag, self.lag)
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.history[rows] = before[rows, None]

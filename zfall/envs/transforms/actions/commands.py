@@ -7,6 +7,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Compose, Transform
 
+from zfall.envs.transforms.base_env import base_env_of
+
 COMMANDS = ("target", "control")
 IN_A_COMPOSE = (
     "; a Compose runs these from its last to its first, so what acts on commands stands before "
@@ -14,11 +16,13 @@ IN_A_COMPOSE = (
 )
 
 
-def read_commands(tensordict: TensorDictBase, substeps: int) -> Tensor:
+def read_commands(transform: Transform, tensordict: TensorDictBase, substeps: int) -> Tensor:
     """Commands of the coming S physics steps ``(N, S, J)`` [rad].
 
-    ``control`` if an earlier transform wrote it, else ``target`` ``(N, J)``, in all steps.
+    ``control`` if an earlier transform wrote it, else ``target`` ``(N, J)``, in all steps. A
+    transform outside of its env is refused.
     """
+    base_env_of(transform)
     control = tensordict.get("control", None)
     if control is None:
         control = tensordict["target"][:, None].expand(-1, substeps, -1)
@@ -76,6 +80,8 @@ def check_order(chain: Iterable[tuple[str, Transform]], hint: str = ".") -> None
     read: dict[str, str] = {}  # the first that reads or writes a key
     maker = ""
     for name, transform in chain:
+        if not transform.in_keys_inv:  # works on the way back
+            continue
         reads = [key for key in COMMANDS if key in transform.out_keys_inv]
         writes = [key for key in COMMANDS if key in transform.in_keys_inv]
         if writes and not reads:

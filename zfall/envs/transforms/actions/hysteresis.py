@@ -7,6 +7,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -34,6 +35,7 @@ class Backlash(Transform):
 
     def __init__(self, env: HumanoidEnv, *, width: float):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        needs_env(self, env, "a memory of each world's commands")
         if not width >= 0:
             raise ValueError(f"width must not be negative, got {width}.")
         self.width, self.substeps = width, env.substeps
@@ -41,7 +43,7 @@ class Backlash(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         half = per_world(self.width, 2) / 2
-        control = read_commands(tensordict, self.substeps).clone()
+        control = read_commands(self, tensordict, self.substeps).clone()
         level = self.level
         for step in range(self.substeps):
             command = control[:, step]
@@ -53,7 +55,7 @@ class Backlash(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.level = torch.where(rows[:, None], before, self.level)
         return tensordict_reset
@@ -80,6 +82,7 @@ class Deadband(Transform):
 
     def __init__(self, env: HumanoidEnv, *, width: float):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        needs_env(self, env, "a memory of each world's commands")
         if not width >= 0:
             raise ValueError(f"width must not be negative, got {width}.")
         self.width, self.substeps = width, env.substeps
@@ -87,7 +90,7 @@ class Deadband(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         width = per_world(self.width, 2)
-        control = read_commands(tensordict, self.substeps).clone()
+        control = read_commands(self, tensordict, self.substeps).clone()
         level = self.level
         for step in range(self.substeps):
             command = control[:, step]
@@ -99,7 +102,7 @@ class Deadband(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.level = torch.where(rows[:, None], before, self.level)
         return tensordict_reset

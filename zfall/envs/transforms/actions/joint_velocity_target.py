@@ -11,6 +11,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -70,6 +71,7 @@ class JointVelocityTarget(Transform):
         feedforward: bool = True,
     ):
         super().__init__(in_keys_inv=["target", "control"], out_keys_inv=["action"])
+        needs_env(self, env, "a memory of each world's commands")
         if not limit > 0:
             raise ValueError(f"limit must be positive, got {limit}.")
         steps = [n for n in range(1, env.substeps + 1) if env.substeps % n == 0]
@@ -97,6 +99,7 @@ class JointVelocityTarget(Transform):
         return (speed / per_world(self.limit, 2)).clamp(-1.0, 1.0)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        base_env_of(self)
         refuse_commands(self, tensordict)
         low, high = self.range.unbind(-1)
         velocity = tensordict["action"].clamp(-1.0, 1.0) * per_world(self.limit, 2)
@@ -119,7 +122,7 @@ class JointVelocityTarget(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         check_chain(self)
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         start = targets_before(tensordict, tensordict_reset["joint_position"])
         start = start.clamp(*self.range.unbind(-1))
         self.position = torch.where(rows[:, None], start, self.position)

@@ -7,6 +7,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import POSITIVE, per_world, reset_rows
 
 
@@ -36,6 +37,7 @@ class LowPass(Transform):
 
     def __init__(self, env: HumanoidEnv, *, time_constant: float):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        needs_env(self, env, "a memory of each world's commands")
         if not time_constant > 0:
             raise ValueError(f"time_constant must be positive, got {time_constant}.")
         self.time_constant, self.substeps = time_constant, env.substeps
@@ -50,7 +52,7 @@ class LowPass(Transform):
         decay = torch.exp(-self.age / per_world(self.time_constant, 3))
         gain = 1.0 - decay[..., :1, :1]
         weight = torch.cat([decay[..., :1], gain * decay[..., 1:]], -1)
-        commands = read_commands(tensordict, self.substeps)
+        commands = read_commands(self, tensordict, self.substeps)
         control = weight @ torch.cat([self.level[:, None], commands], 1)
         self.level = control[:, -1].clone()
         return tensordict.set("control", control)
@@ -58,7 +60,7 @@ class LowPass(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.level = torch.where(rows[:, None], before, self.level)
         return tensordict_reset

@@ -9,6 +9,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
 
 
@@ -57,6 +58,7 @@ class ServoPlanner(Transform):
         acceleration: float | None = 39.0,
     ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
+        needs_env(self, env, "a memory of each world's commands")
         if velocity is not None and not velocity > 0:
             raise ValueError(f"velocity must be positive, got {velocity}.")
         if acceleration is not None and not acceleration >= 0:
@@ -73,7 +75,7 @@ class ServoPlanner(Transform):
         fastest = per_world(self.velocity, 2)
         at_once = torch.as_tensor(change == 0.0)
         way = torch.as_tensor(fastest * self.physics_dt)
-        control = read_commands(tensordict, self.substeps).clone()
+        control = read_commands(self, tensordict, self.substeps).clone()
         position, speed = self.position, self.speed
         for step in range(self.substeps):
             rest = control[:, step] - position - half * speed
@@ -94,7 +96,7 @@ class ServoPlanner(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)[:, None]
+        rows = reset_rows(tensordict, self)[:, None]
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.position = torch.where(rows, before, self.position)
         self.speed = torch.where(rows, 0.0, self.speed)

@@ -7,6 +7,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     key_shapes,
@@ -46,12 +47,13 @@ class ObservationBias(Transform):
         self.std, self.uniform = dict(std or {}), dict(uniform or {})
         keys = list(dict.fromkeys((*self.std, *self.uniform)))
         super().__init__(in_keys=keys, out_keys=[measured_key(key) for key in keys])
+        needs_env(self, env, "a memory of each world")
         if not keys:
             raise ValueError("std or uniform must name at least one key, got none.")
         check_not_negative("std", self.std)
         check_not_negative("uniform", self.uniform)
         shapes = key_shapes(env, "std", self.std) | key_shapes(env, "uniform", self.uniform)
-        self.keys, self.rng = keys, env.rng
+        self.keys = keys
         for key in keys:
             self.register_buffer(f"bias_{key}", torch.zeros(shapes[key]))
 
@@ -64,15 +66,15 @@ class ObservationBias(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         for key in self.keys:
             old: Tensor = getattr(self, f"bias_{key}")
             new = torch.zeros_like(old)
             if key in self.std:
-                noise = torch.randn(old.shape, generator=self.rng)
+                noise = torch.randn(old.shape, generator=base_env_of(self).rng)
                 new += per_world(self.std[key], old.ndim) * noise
             if key in self.uniform:
-                noise = 2.0 * torch.rand(old.shape, generator=self.rng) - 1.0
+                noise = 2.0 * torch.rand(old.shape, generator=base_env_of(self).rng) - 1.0
                 new += per_world(self.uniform[key], old.ndim) * noise
             mask = rows.view(-1, *[1] * (old.ndim - 1))
             setattr(self, f"bias_{key}", torch.where(mask, new, old))
@@ -105,15 +107,16 @@ class ObservationRandomWalk(Transform):
 
     def __init__(self, env: HumanoidEnv, *, rate: dict[str, float]):
         super().__init__(in_keys=list(rate), out_keys=[measured_key(key) for key in rate])
+        needs_env(self, env, "a memory of each world")
         check_not_negative("rate", rate)
-        self.rate, self.rng, self.control_dt = dict(rate), env.rng, env.control_dt
+        self.rate, self.control_dt = dict(rate), env.control_dt
         for key, shape in key_shapes(env, "rate", rate).items():
             self.register_buffer(f"walk_{key}", torch.zeros(shape))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key, rate in self.rate.items():
             walk: Tensor = getattr(self, f"walk_{key}")
-            noise = torch.randn(walk.shape, generator=self.rng)
+            noise = torch.randn(walk.shape, generator=base_env_of(self).rng)
             walk = walk + per_world(rate, walk.ndim) * self.control_dt**0.5 * noise
             setattr(self, f"walk_{key}", walk)
             next_tensordict[measured_key(key)] = read_measured(next_tensordict, key) + walk
@@ -122,7 +125,7 @@ class ObservationRandomWalk(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         for key in self.rate:
             walk: Tensor = getattr(self, f"walk_{key}")
             mask = rows.view(-1, *[1] * (walk.ndim - 1))

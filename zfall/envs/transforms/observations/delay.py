@@ -7,6 +7,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.observations.measured import declare_measured, measured_key
 from zfall.envs.transforms.values import reset_rows
@@ -53,10 +54,9 @@ class ObservationDelay(Transform):
         per: str = "episode",
     ):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
+        needs_env(self, env, "physics steps that it records")
         self.limits = {"delay": (0.0, max_delay)}
-        self._lags = Lags(
-            delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt, rng=env.rng
-        )
+        self._lags = Lags(delay, max_delay=max_delay, per=per, physics_dt=env.physics_dt)
         if not keys:
             raise ValueError("keys must name at least one quantity, got none.")
         env.record_substeps(keys)
@@ -72,7 +72,7 @@ class ObservationDelay(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
-            self.lag = self._lags.draw(self.delay, self.lag.shape)
+            self.lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
         slot = int(self.slot)
         end = slot + self.substeps
         self.history[:, slot:end] = self._read(next_tensordict)
@@ -91,9 +91,9 @@ class ObservationDelay(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         if self.per == "episode":
-            lag = self._lags.draw(self.delay, self.lag.shape)
+            lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
             self.lag = torch.where(rows, lag, self.lag)
         self.history[rows] = self._read(tensordict_reset)[rows, -1:]
         return self._deliver(tensordict_reset)

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.rotations import rotate_inverse, up_axis
 
@@ -50,6 +51,7 @@ class BasePose(Transform):
     """
 
     measured = True
+    forward = on_data
 
     def __init__(self) -> None:
         keys = ["base_position", "base_orientation"]
@@ -81,6 +83,7 @@ class FeetInBase(Transform):
     """
 
     measured = True
+    forward = on_data
 
     def __init__(self) -> None:
         keys = ["base_position", "base_orientation", "feet_position", "feet_force"]
@@ -112,6 +115,7 @@ class ImuOrientation(Transform):
 
     units: ClassVar[Mapping[str, str]] = {"imu_orientation": "1, w x y z, w >= 0"}
     measured = True
+    forward = on_data
 
     def __init__(self) -> None:
         super().__init__(in_keys=["base_orientation"], out_keys=["imu_orientation"])

@@ -7,6 +7,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     key_shapes,
@@ -37,17 +38,18 @@ class ObservationDropout(Transform):
 
     def __init__(self, env: HumanoidEnv, *, probability: float, keys: list[str]):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
+        needs_env(self, env, "a memory of each world")
         if not 0 <= probability < 1:
             raise ValueError(f"probability must lie in [0, 1), got {probability}.")
         if not keys:
             raise ValueError("keys must name at least one quantity, got none.")
-        self.probability, self.keys, self.rng = probability, list(keys), env.rng
+        self.probability, self.keys = probability, list(keys)
         self.num_envs = env.num_envs
         for key, shape in key_shapes(env, "keys", keys).items():
             self.register_buffer(f"held_{key}", torch.zeros(shape))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        arrives = torch.rand(self.num_envs, generator=self.rng) >= self.probability
+        arrives = torch.rand(self.num_envs, generator=base_env_of(self).rng) >= self.probability
         return self._deliver(next_tensordict, arrives)
 
     def _deliver(self, tensordict: TensorDictBase, arrives: Tensor) -> TensorDictBase:
@@ -61,7 +63,7 @@ class ObservationDropout(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return self._deliver(tensordict_reset, reset_rows(tensordict))
+        return self._deliver(tensordict_reset, reset_rows(tensordict, self))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         declare_measured(observation_spec, "keys", self.keys)

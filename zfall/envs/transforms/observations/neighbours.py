@@ -9,6 +9,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import generator_of, needs_env, on_data
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
 
@@ -24,7 +25,8 @@ class CAPSNeighbours(Transform):
     Keys: reads ``observation`` ``(N, D)``, writes ``observation_neighbour`` ``(N, D)``.
 
     Args:
-        env: the base env, whose generator draws; ``None`` for torch's global one.
+        env: the base env, whose generator draws; ``None``, as a replay buffer needs it, for
+            torch's global one.
         sigma: standard deviation of every component, in the observation's own units; or by name
             of a quantity, which leaves the others as they are.
         keys: quantities of the observation in their order, for a ``sigma`` by name; they are to
@@ -38,6 +40,7 @@ class CAPSNeighbours(Transform):
     """
 
     limits = {"sigma": NOT_NEGATIVE}
+    forward = on_data
 
     def __init__(
         self,
@@ -55,14 +58,15 @@ class CAPSNeighbours(Transform):
                 f"sigma must name quantities of keys ({', '.join(keys or [])}), got {unknown[0]}."
             )
         self.sigma, self.keys = named, keys or []
-        self.rng = None if env is None else env.rng
+        if env is not None:
+            needs_env(self, env, "its random numbers")
         self.spans: dict[str, slice] | None = None if isinstance(sigma, Mapping) else {}
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         observation: Tensor = next_tensordict["observation"]
         if self.spans is None:
             self.spans = vector_spans(next_tensordict, self.keys)
-        noise = torch.randn(observation.shape, generator=self.rng)
+        noise = torch.randn(observation.shape, generator=generator_of(self))
         if self.spans:
             spread = torch.zeros_like(noise)
             for name, value in self.sigma.items():
@@ -71,10 +75,6 @@ class CAPSNeighbours(Transform):
         else:
             noise *= per_world(self.sigma["sigma"], noise.ndim)
         return next_tensordict.set("observation_neighbour", observation + noise)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The same for a sampled batch ``(*B, D)``."""
-        return self._call(tensordict)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

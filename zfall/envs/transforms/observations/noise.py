@@ -6,6 +6,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import generator_of, needs_env, on_data
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     measured_key,
@@ -25,7 +26,8 @@ class ObservationNoise(Transform):
     shape and unit. The true value stays where it is, for rewards and the critic.
 
     Args:
-        env: the base env.
+        env: the base env, whose generator draws; ``None``, as a replay buffer needs it, for
+            torch's global one.
         std: standard deviation of each key, in the key's own unit.
         uniform: largest deviation of each key, in the key's own unit.
 
@@ -34,10 +36,11 @@ class ObservationNoise(Transform):
     """
 
     limits = {"std": NOT_NEGATIVE, "uniform": NOT_NEGATIVE}
+    forward = on_data
 
     def __init__(
         self,
-        env: HumanoidEnv,
+        env: HumanoidEnv | None = None,
         *,
         std: dict[str, float] | None = None,
         uniform: dict[str, float] | None = None,
@@ -49,16 +52,17 @@ class ObservationNoise(Transform):
             raise ValueError("std or uniform must name at least one key, got none.")
         check_not_negative("std", self.std)
         check_not_negative("uniform", self.uniform)
-        self.rng = env.rng
+        if env is not None:
+            needs_env(self, env, "its random numbers")
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key, std in self.std.items():
             value = read_measured(next_tensordict, key)
-            noise = torch.randn(value.shape, generator=self.rng)
+            noise = torch.randn(value.shape, generator=generator_of(self))
             next_tensordict[measured_key(key)] = value + per_world(std, value.ndim) * noise
         for key, width in self.uniform.items():
             value = read_measured(next_tensordict, key)
-            noise = 2.0 * torch.rand(value.shape, generator=self.rng) - 1.0
+            noise = 2.0 * torch.rand(value.shape, generator=generator_of(self)) - 1.0
             next_tensordict[measured_key(key)] = value + per_world(width, value.ndim) * noise
         return next_tensordict
 

@@ -9,6 +9,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.observations.vector import vector_size
 
@@ -35,6 +36,7 @@ class NormalizedVector(Transform):
     """
 
     measured = True
+    forward = on_data
 
     def __init__(
         self,
@@ -67,7 +69,7 @@ class NormalizedVector(Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         values = []
         for key in self.keys:
-            value = read_measured(next_tensordict, key).flatten(1)
+            value = read_measured(next_tensordict, key).flatten(next_tensordict.ndim)
             if key in self.affine:
                 factor, summand = self.affine[key]
                 value = value * factor + summand

@@ -5,6 +5,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs import Transform
 
+from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     measured_key,
@@ -29,6 +30,7 @@ class Quantization(Transform):
     """
 
     limits = {"step": POSITIVE}
+    forward = on_data
 
     def __init__(self, *, step: dict[str, float]):
         super().__init__(in_keys=list(step), out_keys=[measured_key(key) for key in step])

@@ -4,6 +4,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.rotations import roll_and_pitch
 
@@ -23,6 +24,7 @@ class TiltAngles(Transform):
     """
 
     measured = True  # sensing must come before it
+    forward = on_data
 
     def __init__(self) -> None:
         super().__init__(in_keys=["projected_gravity"], out_keys=["tilt", measured_key("tilt")])

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import read_measured
 
 
@@ -26,6 +27,8 @@ class ObservationVector(Transform):
         ValueError: if there is no key, or one that no transform before it writes.
     """
 
+    forward = on_data
+
     def __init__(self, *, keys: list[str], out_key: str, measured: bool):
         if not keys:
             raise ValueError(f"keys must name at least one quantity, got {list(keys)}.")
@@ -34,8 +37,9 @@ class ObservationVector(Transform):
         self.measured = measured
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        dims = next_tensordict.ndim
         read = read_measured if self.measured else _read_true
-        vector = torch.cat([read(next_tensordict, key).flatten(1) for key in self.keys], -1)
+        vector = torch.cat([read(next_tensordict, key).flatten(dims) for key in self.keys], -1)
         return next_tensordict.set(self.out_keys[0], vector)
 
     def _reset(
@@ -59,7 +63,7 @@ def vector_size(spec: Composite, keys: Sequence[NestedKey]) -> int:
     if missing:
         names = ", ".join(str(key) for key in spec.keys(True, True))
         raise ValueError(f"keys must name quantities made before them ({names}), got {missing[0]}.")
-    return sum(spec[key].shape[1:].numel() for key in keys)
+    return sum(spec[key].shape[len(spec.shape) :].numel() for key in keys)
 
 
 def _read_true(tensordict: TensorDictBase, key: NestedKey) -> Tensor:

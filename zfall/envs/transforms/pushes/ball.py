@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -62,6 +63,7 @@ class ThrownBall(Transform):
     ):
         keys = [("ball", "launch"), ("ball", "start")]
         super().__init__(in_keys_inv=keys, out_keys_inv=keys)
+        needs_env(self, env, "physics to act on")
         if env.ball is None:
             raise ValueError(
                 "ThrownBall must have a ball to throw: give base_env.ball, for instance "
@@ -74,7 +76,7 @@ class ThrownBall(Transform):
         self.timing = Timing(
             interval, mean_interval, times, longest=0.0, mean=0.0, control_dt=env.control_dt
         )
-        self.speed, self.distance, self.aim, self.rng = speed, distance, aim, env.rng
+        self.speed, self.distance, self.aim = speed, distance, aim
         self.control_dt, num = env.control_dt, env.num_envs
         self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
         self.register_buffer("plan", torch.zeros(num, 5))  # from where (3), speed, aim
@@ -102,14 +104,14 @@ class ThrownBall(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.count.masked_fill_(rows, 0)
         self._draw(rows, torch.zeros_like(self.start))
         return tensordict_reset
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
         """Plans the next throw of the worlds in ``rows``, whose last one began at ``last``."""
-        index, u = uniform(4, rows, self.rng)
+        index, u = uniform(4, rows, base_env_of(self).rng)
         start = self.timing.next(index, u[0], last, last, self.count)
         self.start.numpy()[index] = start.clip(0.0)
         plan = self.plan.numpy()

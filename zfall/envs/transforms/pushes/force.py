@@ -35,11 +35,11 @@ class PushForces:
         self.shape = (env.num_envs,)
         self.begin = env.physics_dt * np.arange(env.substeps)
         self.impulse_unit = env.robot.impulse_unit
-        self._add_force = env.add_force
         self._acted: dict[tuple[str, str], Tensor] = {}  # from the inverse pass to the step's end
 
     def apply(
         self,
+        env: HumanoidEnv,
         tensordict: TensorDictBase,
         start: Tensor,
         duration: Tensor,
@@ -49,6 +49,7 @@ class PushForces:
         """Adds the coming control step's share of the pushes to the TensorDict.
 
         Args:
+            env: the base env.
             tensordict: of the step; ``("push", "wrench")`` is added to.
             start: begin of the pushes ``(N, E)`` [s from now], float64: times add up over episodes.
             duration: their length ``(N, E)`` [s].
@@ -64,11 +65,11 @@ class PushForces:
         parts = share[..., None] * peak_force[:, :, None]
         act = parts.sum(1)
         if len(self.bodies) == 1:
-            self._add_force(tensordict, int(self.bodies), torch.from_numpy(act), index)
+            env.add_force(tensordict, int(self.bodies), torch.from_numpy(act), index)
         else:
             for event in range(parts.shape[1]):
                 target, part = self.bodies[body[index, event]], torch.from_numpy(parts[:, event])
-                self._add_force(tensordict, target, part, index)
+                env.add_force(tensordict, target, part, index)
         peak = np.sqrt(np.vecdot(peak_force, peak_force)) * (share > 1e-6).any(-1)
         impulse = self.profile.mean * (peak * length).max(1, keepdims=True)
         acted = {

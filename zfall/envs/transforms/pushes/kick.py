@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -61,12 +62,13 @@ class VelocityKick(Transform):
     ):
         key = ("push", "kick")
         super().__init__(in_keys_inv=[key], out_keys_inv=[key])
+        needs_env(self, env, "physics to act on")
         check_range("velocity", velocity)
         heading(direction, np.zeros((2, 1), np.float32))  # refuses a bad one
         self.timing = Timing(
             interval, mean_interval, times, longest=0.0, mean=0.0, control_dt=env.control_dt
         )
-        self.velocity, self.direction, self.rng = velocity, direction, env.rng
+        self.velocity, self.direction = velocity, direction
         self.control_dt, num = env.control_dt, env.num_envs
         self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
         self.register_buffer("kick", torch.zeros(num, 3))  # the next one [m/s]
@@ -88,14 +90,14 @@ class VelocityKick(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.count.masked_fill_(rows, 0)
         self._draw(rows, torch.zeros_like(self.start))
         return tensordict_reset.set(("push", "velocity_kick"), torch.zeros_like(self.kick))
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
         """Plans the next kick of the worlds in ``rows``, whose last one began at ``last``."""
-        index, u = uniform(4, rows, self.rng)
+        index, u = uniform(4, rows, base_env_of(self).rng)
         start = self.timing.next(index, u[0], last, last, self.count)
         speed = between(of_worlds(self.velocity, index), u[1])
         self.start.numpy()[index] = start.clip(0.0)

@@ -12,6 +12,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -88,6 +89,7 @@ class RandomPush(Transform):
         profile: str = "rectangular",
     ):
         super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
+        needs_env(self, env, "physics to act on")
         points = [point] if isinstance(point, str) else list(point)
         self.forces = PushForces(env, points, profile)
         self.duration = [duration] * 2 if isinstance(duration, (int, float)) else duration
@@ -122,7 +124,7 @@ class RandomPush(Transform):
             heading(direction, np.zeros((2, 1), np.float32))  # refuses a bad one
         # Kept as given, in its own unit, so that a curriculum can move it.
         self.force, self.impulse, self.size, self.axes = force, impulse, size, axes
-        self.direction, self.rng = direction, env.rng
+        self.direction = direction
         self.control_dt, self.impulse_unit = env.control_dt, env.robot.impulse_unit
         num = env.num_envs
         self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
@@ -133,7 +135,7 @@ class RandomPush(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         plan = (self.start, self.duration_now, self.force_now, self.point_now)
-        self.forces.apply(tensordict, *(value[:, None] for value in plan))
+        self.forces.apply(base_env_of(self), tensordict, *(value[:, None] for value in plan))
         self.start.sub_(self.control_dt)
         end = self.start + self.duration_now
         over = end <= 0
@@ -148,7 +150,7 @@ class RandomPush(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.count.masked_fill_(rows, 0)
         zero = torch.zeros_like(self.start)
         self._draw(rows, zero, zero)
@@ -163,7 +165,7 @@ class RandomPush(Transform):
             rest_from: since when they rest ``(N,)`` [s from now].
             last: when the push before began ``(N,)``, or the episode [s from now].
         """
-        index, u = uniform(7, rows, self.rng)
+        index, u = uniform(7, rows, base_env_of(self).rng)
         start = self.timing.next(index, u[0], rest_from, last, self.count)
         duration = between(of_worlds(self.duration, index), u[1])
         self.start.numpy()[index] = start.clip(0.0)

@@ -9,6 +9,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.pushes.force import PushForces
 from zfall.envs.transforms.values import reset_rows
 
@@ -53,6 +54,7 @@ class ScriptedPush(Transform):
         profile: str = "rectangular",
     ):
         super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
+        needs_env(self, env, "physics to act on")
         num = env.num_envs
         forces = torch.as_tensor(plan, dtype=torch.float32)
         if forces.dim() == 2 and isinstance(plan, Tensor):  # (N, 3), one push each
@@ -85,7 +87,9 @@ class ScriptedPush(Transform):
         self.register_buffer("start", never)  # of each push [s from now]
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.forces.apply(tensordict, self.start, self.duration, self.plan, self.index)
+        self.forces.apply(
+            base_env_of(self), tensordict, self.start, self.duration, self.plan, self.index
+        )
         self.start = self.start - self.control_dt
         return tensordict
 
@@ -96,7 +100,7 @@ class ScriptedPush(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.start = torch.where(rows[:, None], self.time, self.start)
         self.forces.clear(tensordict_reset)
         return tensordict_reset

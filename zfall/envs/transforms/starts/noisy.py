@@ -7,6 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world, two_numbers
 
 
@@ -39,6 +40,7 @@ class NoisyStart(Transform):
         clearance: Sequence[float] | None = None,
     ):
         super().__init__()
+        needs_env(self, env, "the begin of episodes")
         for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
             if std < 0:
                 raise ValueError(f"{name} must not be negative, got {std}.")
@@ -46,20 +48,20 @@ class NoisyStart(Transform):
         if self.clearance is not None and not self.clearance[0] <= self.clearance[1]:
             raise ValueError(f"clearance must be [smallest, largest], got {list(self.clearance)}.")
         self.joint_position, self.joint_velocity = joint_position, joint_velocity
-        self.rng, self.stand, self.range = env.rng, env.stand_position, env.joint_range
+        self.stand, self.range = env.stand_position, env.joint_range
         self.num_envs = env.num_envs
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
         # All rows are drawn, so that the random stream does not depend on who fell.
-        noise = torch.randn(2, self.num_envs, len(self.stand), generator=self.rng)
+        noise = torch.randn(2, self.num_envs, len(self.stand), generator=base_env_of(self).rng)
         low, high = self.range.unbind(-1)
         angle = self.stand + per_world(self.joint_position, 2) * noise[0]
         tensordict["start", "joint_position"] = torch.clamp(angle, low, high)
         tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[1]
         if self.clearance is not None:
             least, most = (per_world(bound, 2) for bound in self.clearance)
-            u = torch.rand(self.num_envs, 1, generator=self.rng)
+            u = torch.rand(self.num_envs, 1, generator=base_env_of(self).rng)
             tensordict["start", "clearance"] = torch.clamp_min(least + (most - least) * u, 0.0)
         return tensordict

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world
 from zfall.fingerprints import reads_files
 from zfall.motions.library import load_motions, motions_file
@@ -54,6 +55,7 @@ class ReferenceStart(Transform):
         heading: bool = False,
     ):
         super().__init__()
+        needs_env(self, env, "the begin of episodes")
         for name, std in (("joint_position", joint_position), ("joint_velocity", joint_velocity)):
             if std < 0:
                 raise ValueError(f"{name} must not be negative, got {std}.")
@@ -65,7 +67,7 @@ class ReferenceStart(Transform):
             raise ValueError(f"motions must be of {', '.join(there)}, got {got}.")
         self.joint_position, self.joint_velocity = joint_position, joint_velocity
         self.heading = heading
-        self.rng, self.range, self.num_envs = env.rng, env.joint_range, env.num_envs
+        self.range, self.num_envs = env.joint_range, env.num_envs
         chosen = [there[name].states for name in names]
         self.count = torch.tensor([len(states["joint_position"]) for states in chosen])
         self.first = self.count.cumsum(0) - self.count
@@ -83,15 +85,15 @@ class ReferenceStart(Transform):
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
         # All rows are drawn, so that the random stream does not depend on who fell.
-        motion = torch.randint(len(self.count), (self.num_envs,), generator=self.rng)
-        phase, angle = torch.rand(2, self.num_envs, generator=self.rng)
+        motion = torch.randint(len(self.count), (self.num_envs,), generator=base_env_of(self).rng)
+        phase, angle = torch.rand(2, self.num_envs, generator=base_env_of(self).rng)
         row = self.first[motion] + (phase * self.count[motion]).long()
         values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
         start = dict(zip(self.sizes, values, strict=True))
         if self.heading:
             _turn(start, 2.0 * torch.pi * angle)
         joints = start["joint_position"]
-        noise = torch.randn(2, *joints.shape, generator=self.rng)
+        noise = torch.randn(2, *joints.shape, generator=base_env_of(self).rng)
         low, high = self.range.unbind(-1)
         joints = joints + per_world(self.joint_position, 2) * noise[0]
         start["joint_position"] = torch.clamp(joints, low, high)

@@ -6,6 +6,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.placing import START_KEYS
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 
 
 class ScriptedStart(Transform):
@@ -26,12 +27,14 @@ class ScriptedStart(Transform):
 
     def __init__(self, env: HumanoidEnv, *, states: dict[str, Tensor]):
         super().__init__()
+        needs_env(self, env, "the begin of episodes")
         unknown = sorted(set(states) - set(START_KEYS))
         if unknown:
             raise ValueError(f"states must be of {', '.join(START_KEYS)}, got {unknown[0]}.")
         self.states, self.num_envs = states, env.num_envs
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        base_env_of(self)
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
         for name, value in self.states.items():

@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import reset_rows
 
 
@@ -28,6 +29,7 @@ class FeetAirTime(Transform):
 
     def __init__(self, env: HumanoidEnv):
         super().__init__(in_keys=["feet_contact"], out_keys=["feet_air_time"])
+        needs_env(self, env, "a memory of each world")
         self.control_dt = env.control_dt
         self.register_buffer("time", torch.zeros(env.num_envs, 2))
 
@@ -39,7 +41,7 @@ class FeetAirTime(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        self.time = self.time.masked_fill(reset_rows(tensordict)[:, None], 0.0)
+        self.time = self.time.masked_fill(reset_rows(tensordict, self)[:, None], 0.0)
         return tensordict_reset.set("feet_air_time", self.time.clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -5,6 +5,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 
 
 class JointEffort(Transform):
@@ -25,6 +26,7 @@ class JointEffort(Transform):
 
     def __init__(self, env: HumanoidEnv):
         super().__init__(in_keys=["joint_torque"], out_keys=["joint_effort"])
+        needs_env(self, env, "physics steps that it records")
         env.record_substeps(["joint_torque"])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -35,6 +37,7 @@ class JointEffort(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

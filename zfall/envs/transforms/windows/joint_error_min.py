@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
 
@@ -38,6 +39,7 @@ class JointErrorMin(Transform):
 
     def __init__(self, env: HumanoidEnv, *, seconds: float, joints: str = "legs"):
         super().__init__(in_keys=["joint_position"], out_keys=["joint_error_min"])
+        needs_env(self, env, "a memory of each world")
         self.steps = window_steps(seconds, env.control_dt) + 1
         self.register_buffer("index", torch.tensor(env.robot.index_of(joints)))
         self.register_buffer("reference", env.stand_position[self.index])
@@ -58,7 +60,7 @@ class JointErrorMin(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows = reset_rows(tensordict)
+        rows = reset_rows(tensordict, self)
         self.history[:, rows] = 0.0
         self.history[int(self.slot), rows] = self._error(tensordict_reset)[rows]
         return tensordict_reset.set(self.out_keys[0], self.history.amin(0)[:, None])

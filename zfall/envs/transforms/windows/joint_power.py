@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 
 
 class JointPower(Transform):
@@ -43,9 +44,9 @@ class JointPower(Transform):
             in_keys=[("substeps", "joint_torque"), ("substeps", "joint_velocity")],
             out_keys=["power"],
         )
+        needs_env(self, env, "physics steps that it records")
         env.record_substeps(["joint_torque", "joint_velocity"])
         model = env.simulation.model
-        self.parameters = env.parameters
         dofs = [int(model.joint(name).dofadr[0]) for name in env.robot.joints]
         self.register_buffer("damping", torch.tensor(model.dof_damping[dofs]).float())
         self.register_buffer("friction", torch.tensor(model.dof_frictionloss[dofs]).float())
@@ -54,7 +55,7 @@ class JointPower(Transform):
         torque, velocity = (next_tensordict[key] for key in self.in_keys)
         before = torch.cat([tensordict["joint_velocity"][:, None], velocity[:, :-1]], 1)
         mean = (before + velocity) / 2.0
-        factors = self.parameters.values
+        factors = base_env_of(self).parameters.values
         damping = (self.damping * factors["joint_damping"])[:, None]
         friction = (self.friction * factors["joint_friction_loss"])[:, None]
         power = (torque - damping * velocity) * mean - friction * mean.abs()
@@ -63,6 +64,7 @@ class JointPower(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         power = tensordict_reset["joint_torque"].new_zeros(*tensordict_reset.shape, 1)
         return tensordict_reset.set(self.out_keys[0], power)
 

@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 
 
 class JointStopSpeed(Transform):
@@ -33,6 +34,7 @@ class JointStopSpeed(Transform):
             in_keys=[("substeps", "joint_position"), ("substeps", "joint_velocity")],
             out_keys=["joint_stop_speed"],
         )
+        needs_env(self, env, "physics steps that it records")
         env.record_substeps(["joint_position", "joint_velocity"])
         self.register_buffer("range", env.joint_range)
 
@@ -46,6 +48,7 @@ class JointStopSpeed(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         speed = tensordict_reset["joint_velocity"].new_zeros(*tensordict_reset.shape, 1)
         return tensordict_reset.set(self.out_keys[0], speed)
 

@@ -8,6 +8,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import reset_rows
 
 
@@ -41,6 +42,7 @@ class LargestSoFar(Transform):
             if name in env.observation_spec.keys() or names.count(name) > 1:
                 raise ValueError(f"keys must be written to names of their own, {name} is taken.")
         super().__init__(in_keys=list(keys), out_keys=list(keys.values()))
+        needs_env(self, env, "a memory of each world")
         self.mirror_like = {name: key for key, name in keys.items()}
         for key, name in keys.items():
             self.register_buffer(name, torch.zeros(env.observation_spec[key].shape))
@@ -55,7 +57,7 @@ class LargestSoFar(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        new = reset_rows(tensordict)[:, None]
+        new = reset_rows(tensordict, self)[:, None]
         for name in self.out_keys:
             largest = torch.where(new, 0.0, getattr(self, name))
             setattr(self, name, largest)

@@ -7,6 +7,8 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs import Transform
 
+from zfall.envs.transforms.base_env import needs_steps
+
 
 class LastAction(Transform):
     """Keeps the action of the step just taken.
@@ -22,6 +24,7 @@ class LastAction(Transform):
 
     def __init__(self) -> None:
         super().__init__(in_keys=["action"], out_keys=["last_action"])
+        needs_steps(self, "the step before")
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set("last_action", tensordict["action"].clone())

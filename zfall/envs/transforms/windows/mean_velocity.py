@@ -6,6 +6,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.rotations import heading, rotation_vector, turn_between, wrap
 
 
@@ -32,6 +33,7 @@ class MeanVelocity(Transform):
             in_keys=["base_position", "base_orientation"],
             out_keys=["odometry_velocity", "base_mean_angular_velocity"],
         )
+        needs_env(self, env, "the steps of its worlds")
         self.control_dt = env.control_dt
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -47,6 +49,7 @@ class MeanVelocity(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        base_env_of(self)
         for key in self.out_keys:
             tensordict_reset[key] = torch.zeros_like(tensordict_reset["base_position"])
         return tensordict_reset

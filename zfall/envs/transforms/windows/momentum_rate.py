@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import reset_rows
 
 
@@ -35,6 +36,7 @@ class MomentumRate(Transform):
             in_keys=["linear_momentum", "angular_momentum"],
             out_keys=["momentum_rate", "angular_momentum_rate"],
         )
+        needs_env(self, env, "a memory of each world")
         self.control_dt = env.control_dt
         # With one physics step only, nothing is known of the first: the change is 0, not 0 / 0.
         self.first = max(env.control_dt - env.physics_dt, env.physics_dt)
@@ -50,7 +52,7 @@ class MomentumRate(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        self.time[reset_rows(tensordict)] = self.first
+        self.time[reset_rows(tensordict, self)] = self.first
         for key, out_key in zip(self.in_keys, self.out_keys, strict=True):
             tensordict_reset[out_key] = torch.zeros_like(tensordict_reset[key])
         return tensordict_reset

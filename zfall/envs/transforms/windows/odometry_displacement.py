@@ -7,6 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
 from zfall.rotations import heading, wrap
@@ -41,6 +42,7 @@ class OdometryDisplacement(Transform):
         super().__init__(
             in_keys=["base_position", "base_orientation"], out_keys=["odometry_displacement"]
         )
+        needs_env(self, env, "a memory of each world")
         self.steps = window_steps(seconds, env.control_dt)
         # A ring of the last poses, the same slot in all worlds; each step writes one of them.
         self.register_buffer("history", torch.zeros(self.steps, env.num_envs, 3))
@@ -62,7 +64,7 @@ class OdometryDisplacement(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        rows, pose = reset_rows(tensordict), _pose(tensordict_reset)
+        rows, pose = reset_rows(tensordict, self), _pose(tensordict_reset)
         self.begin[rows] = pose[rows]
         self.age[rows] = 0
         return tensordict_reset.set(self.out_keys[0], torch.zeros_like(pose))
