@@ -37,7 +37,7 @@ def test_best_gru_is_configured_as_it_was_trained(compose_config):
     cfg = compose_config("experiment=best_gru", "showcase=null")
     trained = DictConfig(OmegaConf.create(content["config"]))
     trained.groups, trained.alike, trained.actor.residual = None, 1, False  # there were none
-    trained.name, trained.logger = None, cfg.logger
+    trained.name, trained.logger, trained.trust = None, cfg.logger, []
     trained.optimizer.fused = True  # it was plain Adam, the same update in more steps
     assert trained == cfg
 

@@ -1,5 +1,6 @@
 """A small recurrent network that predicts falls."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from zfall.fingerprints import reads_files
 from zfall.modules.normalization import ObservationNormalizer
 
 _SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
+_KINDS = {"sizes": Mapping, "fall_network": Mapping}
 SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # with which the default network was trained
 
 
@@ -84,12 +86,10 @@ def load_fall_network(path: str | None = None) -> FallNetwork:
     Raises:
         ValueError: if there is no such file, or it is of another kind.
     """
-    content = checkpoint.load(fall_network_path(path))
-    if "fall_network" not in content:
-        raise ValueError(
-            f"path must be a file of recipes.falling.trigger, {path} is of another kind."
-        )
-    network = FallNetwork(**content["sizes"])
-    network.load_state_dict(content["fall_network"])
+    file = fall_network_path(path)
+    content = checkpoint.load(file, _KINDS)
+    with checkpoint.reading(file):
+        network = FallNetwork(**content["sizes"])
+        network.load_state_dict(content["fall_network"])
     network.trained_with = SHIPPED if path is None else content.get("trained_with")
     return network.eval()

@@ -134,9 +134,10 @@ def switched_checkpoint(
     spec, action_spec = env.observation_spec, env.action_spec
     actors = []
     for name, part in parts.items():
-        actor = instantiate(configs[name].actor, spec, action_spec)
-        checkpoint.check_fits(part, identity_of(env.base_env.robot), actor, Path(runs[name]))
-        actor.load_state_dict(part["policy"])
+        with checkpoint.reading(Path(runs[name])):
+            actor = instantiate(configs[name].actor, spec, action_spec)
+            checkpoint.check_fits(part, identity_of(env.base_env.robot), actor, Path(runs[name]))
+            actor.load_state_dict(part["policy"])
         actors.append(actor)
     actor_cfg = {"_target_": "zfall.falling.switched.switched_actor", "_recursive_": False}
     actor_cfg |= {name: OmegaConf.to_container(configs[name].actor) for name in parts}

@@ -16,6 +16,7 @@ from zfall import checkpoint as checkpoints
 from zfall.envs.tables import changed, check_same_interface, robot_of
 from zfall.modules.actors import recurrent_keys
 from zfall.simulation.model import identity_of
+from zfall.trust import trusting
 
 POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
 
@@ -50,7 +51,11 @@ class Policy:
 
 
 def load_policy(
-    run: str | Path, *, checkpoint: str = "last", changes: Sequence[str] = ()
+    run: str | Path,
+    *,
+    checkpoint: str = "last",
+    changes: Sequence[str] = (),
+    trust: Sequence[str] = (),
 ) -> Policy:
     """A policy by its name: ``load_policy("best")``, or of a run folder.
 
@@ -58,13 +63,15 @@ def load_policy(
         run: a run folder, or the name of a policy that ships.
         checkpoint: of a run folder, ``last`` or ``best``.
         changes: values of its env to replace, ``["transforms.mode.angle=0.4"]``.
+        trust: modules of one's own that its config may name, ``["my_terms"]``; their code is run.
 
     Raises:
-        ValueError: if there is no such policy, its checkpoint does not fit, or a change names
-            nothing.
+        ValueError: if there is no such policy, its checkpoint is damaged, does not fit or names
+            what is not trusted, or a change names nothing.
     """
     path = checkpoint_of(str(run), checkpoint)
-    content = checkpoints.load(path)
+    with trusting(trust):
+        content = checkpoints.load(path)
     config = OmegaConf.create(content["config"])
     config.env = changed(config.env, changes)
     card = path.with_suffix(".md")
@@ -126,11 +133,13 @@ def shipped(name: str) -> Path:
 
 def policy_of(content: dict[str, Any], env_cfg: DictConfig, path: Path) -> torch.nn.Module:
     """The policy of a checkpoint, for the env of this config; raises if it does not fit."""
-    env = instantiate(env_cfg, base_env={"num_envs": 1})
-    actor_cfg = OmegaConf.create(content["config"]).actor
-    actor: torch.nn.Module = instantiate(actor_cfg, env.observation_spec, env.action_spec)
-    checkpoints.check_fits(content, identity_of(env.base_env.robot), actor, path)
-    actor.load_state_dict(content["policy"])
+    config = OmegaConf.create(content["config"])
+    with checkpoints.reading(path):
+        env = instantiate(env_cfg, base_env={"num_envs": 1})
+        specs = (env.observation_spec, env.action_spec)
+        actor: torch.nn.Module = instantiate(config.actor, *specs)
+        checkpoints.check_fits(content, identity_of(env.base_env.robot), actor, path)
+        actor.load_state_dict(content["policy"])
     return actor
 
 

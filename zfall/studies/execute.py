@@ -15,11 +15,12 @@ from zfall.evaluation.candidate import Candidate
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.plots.curves import POINTS
 from zfall.evaluation.run import trials_of
-from zfall.policies import load_policy
+from zfall.policies import Policy, load_policy
 from zfall.studies.plan import Run, Test, battery_of, in_test, shown, training_size_of
 from zfall.studies.store import Store
 from zfall.training.loop import run_training
 from zfall.training.run_folder import VERSION
+from zfall.trust import targets_of, trusting
 
 if TYPE_CHECKING:
     from zfall.studies.study import Study
@@ -63,8 +64,11 @@ def train(cfg: DictConfig, folder: Path) -> None:
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     last = folder / "checkpoints" / "last.pt"
-    with FileLock(folder.with_suffix(".lock")):
-        if not last.exists() or checkpoint.load(last)["run"].get("version") != VERSION:
+    with FileLock(folder.with_suffix(".lock")), trusting(targets_of(cfg)):
+        if (
+            not last.exists()
+            or checkpoint.load(last, checkpoint.TRAINING)["run"].get("version") != VERSION
+        ):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
         if not run_training(cfg, folder, Console(quiet=True)):
@@ -77,10 +81,10 @@ def figures_of(study: "Study", run: Run, test: Test, store: Store) -> dict[str, 
     ``frames_per_s`` is control steps/s of the whole training, collecting and learning.
     """
     battery = battery_of(study)
-    policy = load_policy(store.run_folder(run.cfg))
+    policy = _policy_of(run.cfg, store)
     actor = policy.actor
     if run.tested_with is not None:
-        others = [load_policy(store.run_folder(cfg)) for cfg in run.others]
+        others = [_policy_of(cfg, store) for cfg in run.others]
         actor = run.tested_with.actor(policy, others)
     trials = trials_of(battery, Candidate(run.row, in_test(test, policy.config.env), actor))
     folder = store.run_folder(run.cfg)
@@ -89,6 +93,11 @@ def figures_of(study: "Study", run: Run, test: Test, store: Store) -> dict[str, 
     speed = frames / (timing["collect_s"] + timing["learn_s"]).sum()
     own = kind_of(battery).study_row(battery, trials, training_size_of(study, battery))
     return own | {"frames_per_s": float(speed), "frames": frames}
+
+
+def _policy_of(cfg: DictConfig, store: Store) -> Policy:
+    """What a training of the study gave; it may name what the study's own config names."""
+    return load_policy(store.run_folder(cfg), trust=targets_of(cfg))
 
 
 def learning_curve(folder: Path) -> pd.DataFrame:

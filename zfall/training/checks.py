@@ -18,6 +18,7 @@ KEYS = {
     *("minibatches", "burn_in", "max_grad_norm", "averaging", "resume", "warm_start", "name"),
     *("checkpoint_every", "showcase", "env", "actor", "critic", "loss", "optimizer", "scheduler"),
     *("experiment", "auxiliary_losses", "auxiliary_share", "augmentation", "logger"),
+    "trust",
 }
 _COUNTS = ("num_envs", "alike", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
 _TABLES = {

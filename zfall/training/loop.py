@@ -21,6 +21,9 @@ from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
 from zfall.training.warm_start import warm_start
+from zfall.trust import targets_of, trusting
+
+_OF_THE_CALL = ("resume", "trust")  # not of the run
 
 
 def try_one_step(env_cfg: DictConfig) -> None:
@@ -39,7 +42,7 @@ def resumed_config(
     free = ("total_frames", "checkpoint_every", "showcase", "logger", "name")
     for override in overrides:
         key = override.partition("=")[0]
-        if key != "resume" and key.split(".")[0] not in free:
+        if key not in _OF_THE_CALL and key.split(".")[0] not in free:
             raise ValueError(
                 f"{key} must not be given with resume, it is that of {folder}; "
                 f"only {', '.join(free)} may change."
@@ -49,7 +52,7 @@ def resumed_config(
         if key not in cfg:
             cfg[key] = given[key]
     for key in (override.partition("=")[0] for override in overrides):
-        if key != "resume":
+        if key not in _OF_THE_CALL:
             OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
     return cfg
 
@@ -65,11 +68,15 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     """
     with owned(folder):
         learner, run = Learner(cfg), RunFolder(folder, cfg)
-        if (folder / "checkpoints" / "last.pt").exists():
-            state = checkpoint.load(folder / "checkpoints" / "last.pt")
+        path = folder / "checkpoints" / "last.pt"
+        if path.exists():
+            with trusting(targets_of(cfg)):  # all of them are built already
+                state = checkpoint.load(path, checkpoint.TRAINING)
             check_version(state["run"], folder)
-            learner.load_state_dict(state)
-            for line in run.load_state_dict(state["run"]):
+            with checkpoint.reading(path):
+                learner.load_state_dict(state)
+                notes = run.load_state_dict(state["run"])
+            for line in notes:
                 console.print(line, soft_wrap=True)
         elif cfg.warm_start is not None:
             warm_start(learner, cfg.warm_start)

@@ -38,8 +38,10 @@ def warm_start(learner: Learner, run: str) -> None:
     state_std = any("deviation" in key for key in content["policy"])
     own = () if state_std else ("log_std",)
     weights = {k: v for k, v in content["policy"].items() if not k.endswith(own)}
-    for module in (learner.actor, learner.policy):
-        module.load_state_dict(weights, strict=False)
+    with checkpoint.reading(path):
+        for module in (learner.actor, learner.policy):
+            module.load_state_dict(weights, strict=False)
     seen = [cfg.env.transforms.get("observation_critic") for cfg in (theirs, learner.cfg)]
     if "critic" in content and seen[0] == seen[1] and theirs.critic == learner.cfg.critic:
-        learner.critic.load_state_dict(content["critic"])
+        with checkpoint.reading(path):
+            learner.critic.load_state_dict(content["critic"])
