@@ -19,13 +19,14 @@ from zfall.evaluation.report import write_report
 from zfall.evaluation.results import write_comparison
 from zfall.evaluation.run import run_or_read, setting_name
 from zfall.evaluation.single_trial import show_trial
+from zfall.trust import trusting
 
 from .shell import choice, one_line_errors, servo_change, start
 
 OPTIONS = ["point", "duration", "directions", "impulses", "starts", "force_starts", "resolution"]
 OPTIONS += ["end_time"]
 KEYS = {"run", "runs", "battery", "checkpoint", "num_envs", "seed", "env", "keep", "trial", "video"}
-KEYS |= {"joint", "change", *OPTIONS}
+KEYS |= {"joint", "change", "trust", *OPTIONS}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
@@ -33,7 +34,7 @@ def main(cfg: DictConfig) -> None:
     """Writes ``evaluation/SETTING/{trials.csv, summary.json, *.png}`` into the run folder."""
     console = Console()
     output = Path(HydraConfig.get().runtime.output_dir)
-    with one_line_errors():
+    with one_line_errors(), trusting(cfg.trust):
         check_values(cfg)
         options = {key: cfg[key] for key in OPTIONS if cfg[key] is not None}
         battery = battery_of(cfg.battery, **options)

@@ -22,6 +22,7 @@ from zfall.evaluation.candidate import load_candidate
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.exported import compare_planar
 from zfall.policies.export import describe, export
+from zfall.trust import trusting
 
 from .shell import one_line_errors, start
 
@@ -30,8 +31,8 @@ from .shell import one_line_errors, start
 def main(cfg: DictConfig) -> None:
     """Writes ``policy.onnx`` and ``policy.json``."""
     output = Path(HydraConfig.get().runtime.output_dir)
-    with one_line_errors():
-        check_keys(cfg, {"run", "checkpoint", "change", "planar"})
+    with one_line_errors(), trusting(cfg.trust):
+        check_keys(cfg, {"run", "checkpoint", "change", "planar", "trust"})
         starts = cfg.planar
         if starts is not None and (type(starts) is not int or starts < 1):
             raise ValueError(

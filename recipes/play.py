@@ -21,17 +21,18 @@ from zfall.evaluation.candidate import load_candidate
 from zfall.evaluation.play import walk
 from zfall.evaluation.video import film, frame
 from zfall.modules.actors import recurrent_keys
+from zfall.trust import trusting
 
 from .shell import choice, one_line_errors, servo_change, start
 
-KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "video"}
+KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "video", "trust"}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
 def main(cfg: DictConfig) -> None:
     """Writes ``play.json`` and ``play.mp4`` into the run folder, or hydra's if there is none."""
     console = Console()
-    with one_line_errors():
+    with one_line_errors(), trusting(cfg.trust):
         check_values(cfg)
         given = {"task": cfg.env} if choice("env") else {}
         player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=servo_change(), **given)

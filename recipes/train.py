@@ -26,6 +26,7 @@ from zfall.training.run_folder import (
     write_config,
 )
 from zfall.training.warm_start import warm_start
+from zfall.trust import trusting
 
 from .shell import one_line_errors, start
 
@@ -34,7 +35,7 @@ from .shell import one_line_errors, start
 def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     made = Path(HydraConfig.get().runtime.output_dir)
-    with one_line_errors(), removed_if_unused(made):
+    with one_line_errors(), removed_if_unused(made), trusting(cfg.trust):
         check_config(cfg)
         if cfg.resume is None:
             folder = made
@@ -69,13 +70,13 @@ def begin(
 ) -> tuple[Learner, RunFolder, dict[str, Tensor]]:
     """All that training takes, nothing written before all is checked; and the untrained weights."""
     overrides = HydraConfig.get().overrides.task
-    state = None
+    state, path = None, folder / "checkpoints" / "last.pt"
     if cfg.resume is not None:
-        state = checkpoint.load(folder / "checkpoints" / "last.pt")
+        state = checkpoint.load(path, checkpoint.TRAINING)
         check_version(state["run"], folder)
         cfg = resumed_config(state["config"], cfg, overrides, folder)
     elif holds_run(folder):
-        resumable = (folder / "checkpoints" / "last.pt").exists()
+        resumable = path.exists()
         repair = f"resume={shown_path(folder)} goes on with it" if resumable else "remove it"
         raise ValueError(
             f"hydra.run.dir must be a folder without a run, {folder} holds one"
@@ -98,12 +99,15 @@ def begin(
                 f"total_frames must not be less than the {state['frames']} that {folder} has "
                 f"behind it, got {cfg.total_frames}."
             )
-        learner.load_state_dict(state)
+        with checkpoint.reading(path):
+            learner.load_state_dict(state)
     run = RunFolder(folder, cfg)
     if state is None:
         write_config(cfg, overrides, folder)
     else:
-        for line in run.load_state_dict(state["run"]):
+        with checkpoint.reading(path):
+            notes = run.load_state_dict(state["run"])
+        for line in notes:
             console.print(line, soft_wrap=True)
     return learner, run, untrained
 

@@ -18,6 +18,7 @@ from zfall.errors import check_keys, check_lists, check_whole
 from zfall.evaluation.candidate import load_candidate
 from zfall.falling.banks import save_bank
 from zfall.falling.recording import record_falls
+from zfall.trust import trusting
 
 from ..shell import one_line_errors, start
 
@@ -28,8 +29,8 @@ PUSHED = ("seed", "starts", "impulses", "points", "duration", "times")  # how
 def main(cfg: DictConfig) -> None:
     """Writes ``falls.npz``, see ``zfall.falling.banks.load_bank``."""
     console = Console()
-    with one_line_errors():
-        check_keys(cfg, {"run", "checkpoint", "change", *PUSHED})
+    with one_line_errors(), trusting(cfg.trust):
+        check_keys(cfg, {"run", "checkpoint", "change", "trust", *PUSHED})
         check_lists(cfg, ("impulses", "points", "times", "change"))
         check_whole(cfg, ["seed"])
         tested = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)

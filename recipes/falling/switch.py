@@ -15,6 +15,7 @@ from zfall import checkpoint
 from zfall.commands import shown_path
 from zfall.errors import check_keys
 from zfall.falling.switched import switched_checkpoint
+from zfall.trust import trusting
 
 from ..shell import one_line_errors, start
 
@@ -22,8 +23,8 @@ from ..shell import one_line_errors, start
 @hydra.main(version_base=None, config_path=".", config_name="switch")
 def main(cfg: DictConfig) -> None:
     """Writes ``checkpoints/last.pt`` with both policies and the env ``push_to_kneel``."""
-    with one_line_errors():
-        check_keys(cfg, {"recover", "kneel", "checkpoint", "change"})
+    with one_line_errors(), trusting(cfg.trust):
+        check_keys(cfg, {"recover", "kneel", "checkpoint", "change", "trust"})
         content = switched_checkpoint(
             cfg.recover, cfg.kneel, checkpoint_name=cfg.checkpoint, changes=cfg.change
         )

@@ -21,6 +21,7 @@ from zfall.evaluation.writers import markdown
 from zfall.falling import trigger
 from zfall.falling.fall_network import save_fall_network
 from zfall.falling.plots import reliability_plot, trigger_plot
+from zfall.trust import trusting
 
 from ..shell import one_line_errors, start
 
@@ -33,8 +34,8 @@ ON = ("noise", "delay")  # transforms that stay on by themselves, where there ar
 def main(cfg: DictConfig) -> None:
     """Writes ``fall_network.pt``, ``trigger.csv``, ``trigger.md`` and figures."""
     console, folder = Console(), Path(HydraConfig.get().runtime.output_dir)
-    with one_line_errors():
-        check_keys(cfg, {"run", "checkpoint", "change", "keep", *PUSHED, *LEARNED})
+    with one_line_errors(), trusting(cfg.trust):
+        check_keys(cfg, {"run", "checkpoint", "change", "keep", "trust", *PUSHED, *LEARNED})
         check_lists(cfg, ("measured", "impulses", "keep", "change"))
         check_whole(cfg, LEARNED, 1)
         check_whole(cfg, ["seed"])
