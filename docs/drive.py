@@ -25,7 +25,7 @@ qvel = [int(model.joint(j).dofadr[0]) for j in joints]
 ctrl = [model.actuator(j).id for j in joints]
 target = np.array(about["reference_rad"], dtype=np.float32)
 action = np.zeros_like(target)
-memory = None if about["memory_shape"] is None else np.zeros(about["memory_shape"], np.float32)
+memories = {name: np.zeros(shape, np.float32) for name, shape in about["memories"].items()}
 
 
 def read(name: str) -> np.ndarray:
@@ -58,10 +58,9 @@ substeps = round(about["control_dt_s"] / about["physics_dt_s"])
 mujoco.mj_forward(model, data)
 for _ in range(round(seconds / about["control_dt_s"])):
     observation = np.concatenate([read(part["name"]) for part in about["observation"]])
-    inputs = {"observation": observation[None].astype(np.float32)}
-    inputs |= {} if memory is None else {"memory": memory}
-    (action,), *rest = policy.run(None, inputs)
-    memory = rest[0] if rest else None
+    inputs = {"observation": observation[None].astype(np.float32), **memories}
+    (action,), *after = policy.run(None, inputs)
+    memories = dict(zip(memories, after, strict=True))
     target = np.array(about["reference_rad"]) + about["scale_rad"] * action
     target = np.clip(target, about["low_rad"], about["high_rad"]).astype(np.float32)
     data.ctrl[ctrl] = target

@@ -109,7 +109,7 @@ def test_a_memory_is_kept_between_steps_and_lost_at_a_reset(tmp_path):
     for parameter in actor.parameters():  # else all actions are zero
         parameter.data += 0.3 * torch.randn_like(parameter)
     export(actor, tmp_path / "policy.onnx", size=12)
-    policy = OnnxPolicy(tmp_path / "policy.onnx", {"memory_shape": [1, 2, 8]})
+    policy = OnnxPolicy(tmp_path / "policy.onnx", {"memories": {"memory": [1, 2, 8]}})
     seen = np.ones(12, dtype=np.float32)
     first, second = policy(seen), policy(seen)
     policy.reset()

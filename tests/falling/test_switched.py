@@ -7,6 +7,7 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.envs import ExplorationType, set_exploration_type
 
+from tests.recurrent import SHAPES, live_through
 from zfall import checkpoint
 from zfall.falling.switched import (
     SwitchedActor,
@@ -14,6 +15,7 @@ from zfall.falling.switched import (
     switched_actor,
     switched_checkpoint,
 )
+from zfall.modules.actors import recurrent_keys
 from zfall.policies import load_policy
 
 MLP = {"_target_": "zfall.modules.actors.mlp_actor", "num_cells": [8]}
@@ -46,8 +48,27 @@ def test_one_may_have_a_memory_and_both_may_not(env):
     actor = switched_actor(*specs(env), recover=GRU, kneel=MLP)
     assert "recurrent_state_actor" in actor.in_keys
     assert ("next", "recurrent_state_actor") in actor.out_keys
-    with pytest.raises(ValueError, match="must not both have a memory"):
+    rule = "must not both have a memory under one name, got recurrent_state_actor in both"
+    with pytest.raises(ValueError, match=rule):
         SwitchedActor(actor.recover, actor.recover)
+
+
+def test_memories_of_other_names_go_on_next_to_each_other(env):
+    """A GRU and an LSTM over three steps: the memories of each are those it has by itself."""
+    lstm = {"_target_": "tests.recurrent.lstm_actor"}
+    actor = switched_actor(*specs(env), recover=GRU, kneel=lstm)
+    size = env.observation_spec["observation"].shape[-1]
+    shapes = {"recurrent_state_actor": (1, 8)} | SHAPES["lstm"]
+    assert {*recurrent_keys(actor)} == {*shapes}
+    td = TensorDict({"observation": torch.randn(3, 4, size), "mode": torch.eye(3)[:, None].expand(3, 4, 3),
+                     "is_init": torch.zeros(3, 4, 1, dtype=torch.bool)}, batch_size=[3, 4])  # fmt: skip
+    both = live_through(actor, td, shapes)
+    for part in (actor.recover, actor.kneel):
+        own = {key: shapes[key] for key in recurrent_keys(part)}
+        alone = live_through(part, td, own)
+        for key in own:
+            assert alone[key][:, 1:].abs().max() > 1e-3
+            assert torch.equal(both[key], alone[key])
 
 
 @pytest.mark.parametrize("begins", [True, False])

@@ -7,10 +7,11 @@ from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import ExplorationType, set_exploration_type
 
+from tests.recurrent import lstm_actor, two_grus_actor
 from zfall.evaluation.battery import battery_env
 from zfall.evaluation.definitions import load_battery
-from zfall.modules.actors import gru_actor, mlp_actor
-from zfall.modules.deployed import zero_memory
+from zfall.modules.actors import gru_actor, mlp_actor, recurrent_keys
+from zfall.modules.deployed import memories_at_start
 from zfall.policies.export import describe, export
 from zfall.policies.load import load_policy
 
@@ -22,6 +23,8 @@ KINDS = {
     "mixture_mean": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, statistic="mean"),
     "shared_mode": lambda: mlp_actor(SPEC, ACTION, num_cells=[16], components=3, shared_components=True, statistic="mode"),
     "gru_mode": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mode"),
+    "lstm": lambda: lstm_actor(SPEC, ACTION, num_layers=2),
+    "two_grus": lambda: two_grus_actor(SPEC, ACTION),
     "gru_residual": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, residual=True),
 }  # fmt: skip
 
@@ -39,27 +42,25 @@ def test_onnx_acts_as_the_actor_over_ten_seconds(kind, tmp_path):
             module.update(3.0 * torch.randn(500, 12) + 1.0)
     export(actor, tmp_path / "policy.onnx", size=12)
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
-    memory = zero_memory(actor)
-    own = None if memory is None else memory.numpy()
+    starts = memories_at_start(actor)
+    own = {name: start.numpy() for name, start in starts.items()}
     td = TensorDict({"is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
-    if memory is not None:
-        td["recurrent_state_actor"] = memory
+    td.update(dict(zip(recurrent_keys(actor), starts.values(), strict=True)))
     worst = 0.0
     for _ in range(250):
         td["observation"] = 10.0 * torch.randn(1, 12)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             out = actor(td.clone())
-        inputs = {"observation": td["observation"].numpy()}
-        inputs |= {} if own is None else {"memory": own}
-        action, *rest = session.run(None, inputs)
+        action, *after = session.run(None, {"observation": td["observation"].numpy(), **own})
         worst = max(worst, float(np.abs(action - out["action"].numpy()).max()))
-        if rest:
-            own, td["recurrent_state_actor"] = rest[0], out["next", "recurrent_state_actor"]
+        own = dict(zip(own, after, strict=True))
+        td.update({key: out["next", key] for key in recurrent_keys(actor)})
         td["is_init"] = torch.zeros(1, 1, dtype=torch.bool)
     assert worst < 1e-5
     assert out["action"].abs().max() > 0.05
     names = [value.name for value in session.get_inputs()]
-    assert names == (["observation"] if own is None else ["observation", "memory"])
+    assert names == ["observation", *own]
+    assert ("memory" in own) is kind.startswith("gru")
 
 
 def test_units_are_declared_where_a_quantity_is_written(compose_config):

@@ -28,7 +28,7 @@ from zfall.simulation.dm_control import Physics
 
 
 class OnnxPolicy:
-    """``policy.onnx`` with its memory, and what ``policy.json`` says of its action.
+    """``policy.onnx`` with its memories, and what ``policy.json`` says of its action.
 
     Args:
         path: of ``policy.onnx``.
@@ -51,15 +51,14 @@ class OnnxPolicy:
 
     def reset(self) -> None:
         """Forgets."""
-        shape = self.about["memory_shape"]
-        self.memory = None if shape is None else np.zeros(shape, dtype=np.float32)
+        shapes = self.about["memories"]
+        self.memories = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The action ``(J,)`` for an observation ``(D,)``."""
-        inputs = {"observation": observation[None]}
-        inputs |= {} if self.memory is None else {"memory": self.memory}
-        action, *rest = self.session.run(None, inputs)
-        self.memory = rest[0] if rest else None
+        inputs = {"observation": observation[None], **self.memories}
+        action, *after = self.session.run(None, inputs)
+        self.memories = dict(zip(self.memories, after, strict=True))
         return action[0]
 
     def target(self, action: NDArray[np.float32]) -> NDArray[np.float64]:

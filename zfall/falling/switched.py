@@ -35,7 +35,7 @@ class SwitchedActor(TensorDictModuleBase):
             episodes begin in KNEEL; else it remembers what came before.
 
     Raises:
-        ValueError: if both have a memory: they would share its key.
+        ValueError: if both have a memory under one key: they would share it.
     """
 
     # It has no plain form, see ``zfall.modules.deployed``.
@@ -45,8 +45,10 @@ class SwitchedActor(TensorDictModuleBase):
 
     def __init__(self, recover: Any, kneel: Any, *, begins: bool = False):
         super().__init__()
-        if recurrent_keys(recover) and recurrent_keys(kneel):
-            raise ValueError("recover and kneel must not both have a memory, got two GRUs.")
+        for key in set(recurrent_keys(recover)) & set(recurrent_keys(kneel)):
+            raise ValueError(
+                f"recover and kneel must not both have a memory under one name, got {key} in both."
+            )
         self.recover, self.kneel, self.begins = recover, kneel, begins
         self.in_keys = list(dict.fromkeys([*recover.in_keys, *kneel.in_keys, "mode"]))
         others = [key for key in (*recover.out_keys, *kneel.out_keys) if isinstance(key, tuple)]

@@ -1,53 +1,96 @@
 """A policy without TensorDicts, noise or exploration, as it runs on a robot."""
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
+from tensordict import NestedKey
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
+from torchrl.modules import GRUModule, IndependentNormal, LSTMModule
 
 from zfall.modules.actors import recurrent_keys
+from zfall.modules.memory import memory_beginning, parts_of
 
 
-class DeployedMLP(nn.Module):
-    """``observation`` ``(B, D)`` -> ``action`` ``(B, J)``: normaliser, network, statistic.
+class DeployedPolicy(nn.Module):
+    """``observation`` ``(B, D)`` and memories -> ``action`` ``(B, J)`` and the next memories.
+
+    The modules of the actor one after the other, each on plain tensors. A memory ``(B, ...)`` is
+    that of one robot, as it is stored in a batch.
 
     Args:
-        actor: of ``mlp_actor``.
+        actor: of ``TensorDictModule``, TorchRL's ``GRUModule`` and ``LSTMModule``, which sees
+            ``observation`` alone.
+
+    Raises:
+        ValueError: on another one.
     """
 
     def __init__(self, actor: Any):
         super().__init__()
-        self.network = actor[0].module
+        self.memory = recurrent_keys(actor)
+        seen = [key for key in actor.in_keys if key not in (*self.memory, "is_init")]
+        if seen != ["observation"]:
+            raise ValueError(
+                "run must have a policy that sees the observation alone to be exported, got "
+                f"{', '.join(map(str, seen))}."
+            )
+        *parts, _ = parts_of(actor)
+        self.parts = [_plain(part) for part in parts]
+        self.modules_of_parts = nn.ModuleList(p for p in self.parts if isinstance(p, nn.Module))
+        self.reads = [[key for key in part.in_keys if key != "is_init"] for part in parts]
+        self.writes = [list(part.out_keys) for part in parts]
         self.statistic = _Statistic(actor)
 
-    def forward(self, observation: Tensor) -> Tensor:
-        """The action without exploration."""
-        return self.statistic(self.network(observation))
+    def forward(self, observation: Tensor, *memories: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """The action without exploration, and the next memories if there are any."""
+        known: dict[NestedKey, Tensor] = dict(zip(self.memory, memories, strict=True))
+        known["observation"] = observation
+        for part, reads, writes in zip(self.parts, self.reads, self.writes, strict=True):
+            out = part(*(known[key] for key in reads))
+            known |= zip(writes, out if isinstance(out, tuple) else (out,), strict=True)
+        action = self.statistic(known)
+        return (action, *(known["next", key] for key in self.memory)) if memories else action
 
 
-class DeployedGRU(nn.Module):
-    """``observation`` and ``memory`` ``(B, L, H)`` -> ``action`` and the next memory.
+class _GRUStep(nn.Module):
+    """One step of a ``GRUModule`` from one in which no episode begins."""
 
-    The memory is zero at the start.
-
-    Args:
-        actor: of ``gru_actor``.
-    """
-
-    def __init__(self, actor: Any):
+    def __init__(self, module: GRUModule):
         super().__init__()
-        encoder, memory, *added, head = actor[0]
-        self.encoder, self.head = encoder.module, head.module
-        self.gru, self.residual = memory.gru, len(added) == 1
-        self.statistic = _Statistic(actor)
+        self.gru = module.gru
 
-    def forward(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """The action without exploration, and the next memory."""
-        before = memory.transpose(0, 1).contiguous()
-        embedding = self.encoder(observation)
-        features, after = self.gru(embedding[:, None], before)
-        features = features[:, 0] + embedding if self.residual else features[:, 0]
-        return self.statistic(self.head(features)), after.transpose(0, 1)
+    def forward(self, value: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        features, after = self.gru(value[:, None], memory.transpose(0, 1).contiguous())
+        return features[:, 0], after.transpose(0, 1)
+
+
+class _LSTMStep(nn.Module):
+    """One step of an ``LSTMModule`` from one in which no episode begins."""
+
+    def __init__(self, module: LSTMModule):
+        super().__init__()
+        self.lstm = module.lstm
+
+    def forward(self, value: Tensor, memory: Tensor, cell: Tensor) -> tuple[Tensor, ...]:
+        before = tuple(x.transpose(0, 1).contiguous() for x in (memory, cell))
+        features, after = self.lstm(value[:, None], before)
+        return features[:, 0], *(x.transpose(0, 1) for x in after)
+
+
+def _plain(part: Any) -> Callable[..., Any]:
+    if isinstance(part, GRUModule):
+        return _GRUStep(part)
+    if isinstance(part, LSTMModule):
+        return _LSTMStep(part)
+    if isinstance(part, TensorDictModule) and "is_init" not in part.in_keys:
+        function: Callable[..., Any] = part.module
+        return function
+    raise ValueError(
+        "run must have a policy of TensorDictModule, GRUModule and LSTMModule to be exported, got "
+        f"{type(part).__name__}."
+    )
 
 
 class _Statistic(nn.Module):
@@ -57,11 +100,11 @@ class _Statistic(nn.Module):
         super().__init__()
         self.distribution = actor[-1].distribution_class
         self.given = dict(actor[-1].distribution_kwargs)
-        self.keys = list(actor[-1].in_keys)
+        self.keys = dict(zip(actor[-1].dist_keys, actor[-1].in_keys, strict=True))
 
-    def forward(self, parameters: tuple[Tensor, ...]) -> Tensor:
-        named = dict(zip(self.keys, parameters, strict=True))
-        if list(named) == ["loc", "scale"] and not self.given.get("statistic"):
+    def forward(self, known: dict[NestedKey, Tensor]) -> Tensor:
+        named = {name: known[key] for name, key in self.keys.items()}
+        if issubclass(self.distribution, IndependentNormal):
             return named["loc"]  # of a Gaussian mean and mode are one
         out: Tensor = self.distribution(**named, **self.given).deterministic_sample
         return out
@@ -71,26 +114,27 @@ def deployed(actor: Any) -> nn.Module:
     """The policy of an actor.
 
     Args:
-        actor: of ``mlp_actor`` or ``gru_actor``, or one of a class that declares ``not_deployed``.
+        actor: any that ``DeployedPolicy`` takes, or one of a class that declares ``not_deployed``.
 
     Raises:
         ValueError: if it has no plain form, with the text of ``not_deployed``.
     """
     if reason := getattr(actor, "not_deployed", None):
         raise ValueError(reason)
-    module = DeployedGRU(actor) if recurrent_keys(actor) else DeployedMLP(actor)
-    return module.eval()
+    return DeployedPolicy(actor).eval()
 
 
-def memory_shape(actor: Any) -> tuple[int, int] | None:
-    """Layers and width of a policy's memory, if it has one."""
-    if not recurrent_keys(actor):
-        return None
-    gru = DeployedGRU(actor).gru
-    return int(gru.num_layers), int(gru.hidden_size)
+def memories_at_start(actor: Any) -> dict[str, Tensor]:
+    """The memories ``(1, ...)`` of a policy at the start, by the names that they are exported with.
 
+    The only one is ``memory``, of several each has the name of its hidden state.
 
-def zero_memory(actor: Any) -> Tensor | None:
-    """The memory ``(1, L, H)`` at the start."""
-    shape = memory_shape(actor)
-    return None if shape is None else torch.zeros(1, *shape)
+    Raises:
+        ValueError: if one does not begin with one number.
+    """
+    begins = memory_beginning(actor) if recurrent_keys(actor) else {}
+    starts = {
+        key if isinstance(key, str) else "/".join(key): torch.full((1, *spec.shape), value)
+        for key, (spec, value) in begins.items()
+    }
+    return dict(zip(["memory"], starts.values(), strict=True)) if len(starts) == 1 else starts

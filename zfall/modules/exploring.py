@@ -31,7 +31,7 @@ class ExploringActor(TensorDictModuleBase):
         super().__init__()
         kind = actor[-1].distribution_class
         if kind is not IndependentNormal or recurrent_keys(actor):
-            what = "a GRU" if recurrent_keys(actor) else kind.__name__
+            what = "a memory" if recurrent_keys(actor) else kind.__name__
             raise ValueError(
                 "actor must be a plain Gaussian without memory (components: 0) for an env with "
                 f"CorrelatedNoise, got {what}."

@@ -13,7 +13,7 @@ from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.observations import ObservationVector
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.envs.transforms.pushes import ScriptedPush
-from zfall.modules.deployed import deployed, zero_memory
+from zfall.modules.deployed import deployed, memories_at_start
 from zfall.simulation.quantities import UNITS
 
 
@@ -21,7 +21,8 @@ def export(actor: Any, path: Path, *, size: int) -> None:
     """Writes the policy as ONNX, for one robot at a time.
 
     It takes ``observation`` ``(1, size)``, and ``memory`` if the policy has one, and gives
-    ``action`` ``(1, J)``, and ``next_memory``.
+    ``action`` ``(1, J)``, and ``next_memory``. A policy with several memories has an input for
+    each, see ``memories_at_start``, and gives each with ``next_`` in front.
 
     Args:
         actor: the policy.
@@ -31,10 +32,10 @@ def export(actor: Any, path: Path, *, size: int) -> None:
     Raises:
         ValueError: without the packages that this needs, or for a policy without a plain form.
     """
-    module, memory = deployed(actor), zero_memory(actor)
-    inputs, names, out = [torch.zeros(1, size)], ["observation"], ["action"]
-    if memory is not None:
-        inputs, names, out = [*inputs, memory], [*names, "memory"], [*out, "next_memory"]
+    module, memories = deployed(actor), memories_at_start(actor)
+    inputs = [torch.zeros(1, size), *memories.values()]
+    names = ["observation", *memories]
+    out = ["action", *(f"next_{name}" for name in memories)]
     for name in ("torch.onnx", "onnxscript", "onnx_ir"):
         logging.getLogger(name).setLevel(logging.ERROR)
     try:
@@ -92,7 +93,8 @@ def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, 
     if others or size != max(span.stop for span in spans.values()):
         name = others[0] if others else "history"
         raise ValueError(f"run must observe true quantities to be exported, got {name} as well.")
-    memory = zero_memory(actor)
+    memories = {name: list(start.shape) for name, start in memories_at_start(actor).items()}
+    only = {"memory_shape": memories.get("memory")} if len(memories) < 2 else {}
     low, high = base.joint_range.unbind(-1)
     return {
         "robot": base.robot.name,
@@ -103,7 +105,8 @@ def describe(env: TransformedEnv, actor: Any, env_cfg: DictConfig) -> dict[str, 
             {"name": str(key), "from": span.start, "to": span.stop, "unit": units[key]}
             for key, span in spans.items()
         ],
-        "memory_shape": None if memory is None else list(memory.shape),
+        **only,
+        "memories": memories,
         "joints": list(base.robot.joints),
         "target": "clip(reference + scale * action, low, high)",
         "scale_rad": float(actions[0].scale),
