@@ -22,8 +22,32 @@ def _spin_briefly() -> None:
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 
+# What MuJoCo and dm_control both take; they raise at import for anything else.
+_GL = (
+    "",
+    "0",
+    "1",
+    "disable",
+    "disabled",
+    "egl",
+    "enable",
+    "enabled",
+    "false",
+    "glfw",
+    "off",
+    "on",
+)
+
+
 def _choose_gl() -> None:
-    """Picks an OpenGL without a screen for MuJoCo, which looks for one when it is imported."""
+    """Picks an OpenGL without a screen for MuJoCo, which looks for one when it is imported.
+
+    A value that MuJoCo does not know is put aside: what needs no pictures works without, and what
+    does says so, see ``zfall.envs.rendering``.
+    """
+    given = os.environ.get("MUJOCO_GL", "")
+    if given.lower().strip() not in (*_GL, "osmesa", "true"):
+        os.environ |= {"MUJOCO_GL": "disable", "ZFALL_REFUSED_GL": given}
     if sys.platform != "linux" or os.environ.get("DISPLAY") or "MUJOCO_GL" in os.environ:
         return
     for library, name in (("EGL", "egl"), ("OSMesa", "osmesa")):

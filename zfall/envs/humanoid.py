@@ -5,19 +5,25 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms.utils import _get_reset
 
 from zfall.envs.ball_state import BallState
+from zfall.envs.base_state import check_made_for, made_for
+from zfall.envs.control import Repeats, read_control
 from zfall.envs.forces import StepForces
+from zfall.envs.observer import Observed, Observer, with_flags
 from zfall.envs.placing import Placing, start_of
+from zfall.envs.rendering import Camera
 from zfall.robots import ZEROTH01, Ball, PushPoint, Robot
 from zfall.robots.servos import Servo
 from zfall.simulation.compiled import sound
 from zfall.simulation.cpu import Simulation
+from zfall.simulation.memory import check_memory
 from zfall.simulation.model import (
     compile_model,
     physics_steps,
@@ -98,6 +104,7 @@ class HumanoidEnv(EnvBase):
         self.regions, self.ball, self.servos = robot.regions, ball, servos
         parts: dict[str, Any] = {"push_points": push_points, "ball": ball, "servos": servos}
         model = compile_model(robot, physics_dt=physics_dt, powered=powered, **parts)
+        check_memory(model, num_envs, substeps)
         self.simulation = Simulation(model, num_envs, substeps, threads)
         self.push_targets = push_targets(model)
         self.num_bodies = model.nbody - 1
@@ -108,8 +115,8 @@ class HumanoidEnv(EnvBase):
         self.joint_range = torch.from_numpy(np.stack(ranges)).float()
         self.stand_position = torch.tensor(robot.stand_position)
         self.servo_time_constant = servo_time_constant(model, robot)
-        self._recorded: tuple[str, ...] = ()
-        self._observed: dict[NestedKey, Tensor] | None = None  # what the last step or reset gave
+        self._observed: Observed | None = None  # what the last step or reset gave
+        self._repeats = Repeats()
         self._read = QuantityReader(
             robot, model, sensor_slices(model), mass=self.mass, control_dt=control_dt
         )
@@ -120,6 +127,9 @@ class HumanoidEnv(EnvBase):
         stand_control = self.stand_position.double()[self._to_actuators]
         self._placing = Placing(robot, model, self._read.places, stand_control)
         self._ball = BallState(model) if ball else None
+        self.camera = Camera(model)
+        self._made_for = made_for(self)
+        self._observer = Observer(self._read, self.parameters, self._ball)
         self.observation_spec = observation_spec(robot, num_envs, with_ball=ball is not None)
         self.full_action_spec = action_spec(self.joint_range, num_envs, substeps)
         self.full_reward_spec = Composite(shape=(num_envs,))  # a task's transforms give the reward
@@ -179,7 +189,7 @@ class HumanoidEnv(EnvBase):
                 f"keys must be known at every physics step ({', '.join(SUBSTEP_KEYS)}), "
                 f"got {unknown[0]}."
             )
-        self._recorded = tuple(dict.fromkeys((*self._recorded, *keys)))
+        self._observer.recorded = tuple(dict.fromkeys((*self._observer.recorded, *keys)))
         self._observed = None
         spec = self.observation_spec.clone()
         for key in keys:
@@ -187,10 +197,11 @@ class HumanoidEnv(EnvBase):
             spec["substeps", key] = Unbounded((num, self.substeps, *shape))
         self.observation_spec = spec
 
+    @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        control = tensordict.get("control", None)
-        if control is None:
-            control = tensordict["target"][:, None].expand(-1, self.substeps, -1)
+        self._repeats.check(tensordict, self._observed and self._observed["base_position"])
+        joints = len(self.robot.joints)
+        control, fault = read_control(tensordict, (self.num_envs, self.substeps, joints))
         self._forces.take(self.simulation.wrench, tensordict.get(("push", "wrench"), None))
         kick = tensordict.get(("push", "kick"), None)
         if kick is not None:
@@ -198,59 +209,28 @@ class HumanoidEnv(EnvBase):
         if self._ball:
             self._ball.launch(self.simulation, tensordict)
         sensors = self.simulation.step(control[..., self._to_actuators])
-        observed = self._observe(sensors)
-        diverged = self.simulation.diverged
+        observed = self._observer(self.simulation, sensors)
+        diverged = self.simulation.diverged | fault
         for key in PEAK_KEYS:  # of what is in between
             diverged = diverged | torch.from_numpy(~sound(observed[key].numpy()))
         if diverged.any():  # such a world ends here, in a state the learner can read
-            observed = self._observe(self._placing.place(self.simulation, diverged, {}))
-        return self._mark(observed, diverged[:, None])
+            sensors = self._placing.place(self.simulation, diverged, {})
+            observed = self._observer(self.simulation, sensors)
+        self._observed = observed
+        return with_flags(observed, diverged[:, None])
 
+    @torch.no_grad()
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         before, rows = self._observed, _get_reset("_reset", source).reshape(self.num_envs)
         sensors = self._placing.place(self.simulation, rows, start_of(source))
         if before is None or rows.all():
-            observed = self._observe(sensors)
+            observed = self._observer(self.simulation, sensors)
         else:  # a few new rows among what the others had
-            observed = self._observe(sensors, rows.nonzero()[:, 0], before)
-        return self._mark(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
-
-    def _observe(
-        self,
-        sensors: Tensor,
-        index: Tensor | None = None,
-        before: dict[NestedKey, Tensor] | None = None,
-    ) -> dict[NestedKey, Tensor]:
-        """All quantities; of the worlds that are not in ``index`` ``(K,)`` as they were before."""
-        simulation, parameters = self.simulation, self.parameters
-        states = (simulation.qpos, simulation.qvel)
-        out = self._read(
-            *states, sensors, parameters.gravity, parameters.mass, index=index, before=before
-        )
-        new: dict[NestedKey, Tensor] = {}
-        if self._recorded:
-            arrays = _rows_of((*simulation.substates, sensors, parameters.gravity), index)
-            by_step = self._read.substeps(self._recorded, *arrays)
-            new |= {("substeps", key): value for key, value in by_step.items()}
-        if self._ball:
-            new |= self._ball.read(_rows_of(states, index))
-        if index is not None and before is not None:
-            new = {key: before[key].index_copy(0, index, value) for key, value in new.items()}
-        return out | new
-
-    def _mark(self, observed: dict[NestedKey, Tensor], diverged: Tensor) -> TensorDictBase:
-        """Keeps what was observed and adds the flags: only failed physics ends an episode."""
+            observed = self._observer(self.simulation, sensors, rows.nonzero()[:, 0], before)
         self._observed = observed
-        flags = {key: diverged.clone() for key in ("diverged", "terminated", "done")}
-        flags["truncated"] = torch.zeros_like(diverged)
-        flat = {key: value for key, value in observed.items() if isinstance(key, str)}
-        # Without the checks of each value, whose shapes are known: they take longer than the rest.
-        out = TensorDict._new_unsafe(flat | flags, batch_size=self.batch_size)
-        for key, value in observed.items():
-            if key not in flat:
-                out[key] = value
-        return out
+        self._repeats.forget()
+        return with_flags(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
 
     @property
     def physics_param_spec(self) -> Composite:
@@ -278,23 +258,38 @@ class HumanoidEnv(EnvBase):
         self.rng.manual_seed(0 if seed is None else int(seed))
 
     def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        """State of the physics and of the random generator, enough to go on bit for bit."""
+        """All that the coming steps and resets depend on, enough to go on bit for bit."""
         return {
+            "made_for": self._made_for,
             "simulation": self.simulation.state_dict(),
             "rng": self.rng.get_state(),
             "parameters": self.parameters.state_dict(),
+            "observed": None if self._observed is None else dict(self._observed),
         }
 
-    def load_state_dict(self, state_dict: dict[str, Any], *args: Any, **kwargs: Any) -> None:
-        """Restores what ``state_dict`` gave."""
+    def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> None:
+        """Restores what ``state_dict`` gave.
+
+        Raises:
+            ValueError: if it is that of another env.
+        """
+        self.check_state(state_dict)
         self.set_physics_params(TensorDict(state_dict["parameters"]))
-        self._observed = None
         self.simulation.load_state_dict(state_dict["simulation"])
         self.rng.set_state(state_dict["rng"])
+        observed = state_dict.get("observed")
+        self._observed = None if observed is None else dict(observed)
+        self._repeats.forget()
 
+    def check_state(self, state: Mapping[str, Any]) -> None:
+        """Raises ``ValueError`` unless ``load_state_dict`` can restore a state."""
+        check_made_for(state, self._made_for, self.simulation)
 
-def _rows_of(arrays: Iterable[Tensor | None], index: Tensor | None) -> list[Any]:
-    """The rows in ``index`` ``(K,)`` of each, all if it is ``None``; ``None`` stays."""
-    if index is None:
-        return list(arrays)
-    return [None if array is None else array.index_select(0, index) for array in arrays]
+    def render(self, height: int = 480, width: int = 640) -> NDArray[np.uint8]:
+        """Pictures of all worlds by the camera ``track`` ``(N, height, width, 3)``.
+
+        Raises:
+            RuntimeError: if no OpenGL is to be had.
+        """
+        states = self.simulation.qpos.numpy()
+        return np.stack([self.camera.picture(qpos, height, width) for qpos in states])

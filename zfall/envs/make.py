@@ -7,12 +7,10 @@ from typing import Any
 
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, open_dict
-from tensordict import TensorDictBase
-from torch import Tensor
-from torchrl.data import Composite
-from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.table_env import DropSubsteps, Table, TableEnv
 from zfall.envs.transforms.actions.commands import check_order
 
 
@@ -22,7 +20,7 @@ def make_env(
     *,
     training_only: Mapping[str, bool] | Collection[str] = (),
     training: bool = True,
-) -> TransformedEnv:
+) -> TableEnv:
     """Builds an env whose transforms run in the order of the table, which is that of the data.
 
     Those that work on the way from the policy to the physics (they have ``in_keys_inv``) run in
@@ -63,50 +61,11 @@ def make_env(
     before = [transform for transform in built.values() if transform.in_keys_inv]
     after = [transform for transform in built.values() if not transform.in_keys_inv]
     if "substeps" in env.observation_spec.keys():
-        after.append(_DropSubsteps())
-    task = TransformedEnv(env, _Table(*reversed(before), *after))
+        after.append(DropSubsteps())
+    task = TableEnv(env, Table(*reversed(before), *after))
     _check_measured(built)
     _check_declared(task, built)
     return task
-
-
-class _Table(Compose):
-    """``Compose`` in which what prepares a reset runs in the order of the table, too.
-
-    Its state is a copy, which later steps do not change.
-    """
-
-    def __init__(self, *transforms: Transform):
-        super().__init__(*transforms)
-        self.register_state_dict_post_hook(_copied)
-
-    def _reset_env_preprocess(self, tensordict: TensorDictBase) -> TensorDictBase:
-        for transform in self.transforms:
-            tensordict = transform._reset_env_preprocess(tensordict)
-        return tensordict
-
-
-def _copied(module: Compose, state: dict[str, Any], prefix: str, metadata: Any) -> None:
-    for key, value in state.items():
-        if isinstance(value, Tensor):
-            state[key] = value.clone()
-
-
-class _DropSubsteps(Transform):
-    """Takes ``substeps`` out once all transforms have read them: rollouts need not store them."""
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        del next_tensordict["substeps"]
-        return next_tensordict
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return self._call(tensordict_reset)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        del observation_spec["substeps"]
-        return observation_spec
 
 
 def _in_place(

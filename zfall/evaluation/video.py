@@ -10,24 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from zfall.envs.humanoid import HumanoidEnv
-
-INSTALL = (
-    "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6), and set MUJOCO_GL=egl (or osmesa)"
-)
-
-
-def make_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
-    """A renderer without a screen.
-
-    Raises:
-        RuntimeError: if no OpenGL is to be had, naming what to install.
-    """
-    try:
-        return mujoco.Renderer(model, height, width)
-    except Exception as error:
-        raise RuntimeError(
-            f"rendering needs OpenGL without a screen; install: {INSTALL}"
-        ) from error
+from zfall.envs.rendering import make_renderer
 
 
 def film(

@@ -3,6 +3,7 @@
 import copy
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -89,8 +90,6 @@ class Simulation:
         self.model, self.substeps = model, substeps
         self._models = [model] * num_worlds  # one object for all until set_fields
         self.threads = threads or len(os.sched_getaffinity(0))
-        self._pool = rollout.Rollout(nthread=self.threads)
-        self._data = [mujoco.MjData(model) for _ in range(self.threads)]
         self._rows = np.arange(num_worlds)
         self._stepped: Tensor | None = None  # numbers of the worlds that step; None: all
         size = mujoco.mj_stateSize(model, _STATE)
@@ -100,11 +99,41 @@ class Simulation:
         self._inputs = torch.zeros(num_worlds, substeps, inputs, dtype=torch.float64)
         self._sensors = torch.zeros(num_worlds, substeps, model.nsensordata, dtype=torch.float64)
         self.diverged = torch.zeros(num_worlds, dtype=torch.bool)
+        self._changed: set[str] = set()  # fields that differ by world
+        self._begin()
+
+    def _begin(self) -> None:
+        """Makes the threads, and the views of what they work on."""
+        model = self.model
+        self._pool = rollout.Rollout(nthread=self.threads)
+        self._data = [mujoco.MjData(model) for _ in range(self.threads)]
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
         self.qvel = self._state[:, end : end + model.nv]
         # The world body, which comes first, keeps its zeros.
         self.wrench = self._inputs[:, :, model.nu + 6 :].unflatten(-1, (-1, 6))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickles: of the worlds' models what differs, of the views nothing."""
+        made = ("_pool", "_data", "_models", "qpos", "qvel", "wrench")
+        state = {key: value for key, value in self.__dict__.items() if key not in made}
+        fields = {
+            name: np.stack([getattr(self._owner(model, name), name) for model in self._models])
+            for name in self._changed
+        }
+        return state | {"fields": fields}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        fields = state.pop("fields")
+        self.__dict__.update(state)
+        self._models = [self.model] * len(self._rows)
+        self._begin()
+        self.set_fields(torch.ones(len(self._rows), dtype=torch.bool), fields)
+
+    @staticmethod
+    def _owner(model: mujoco.MjModel, name: str) -> Any:
+        """Where a field lies: in the model, or in its options."""
+        return model.opt if name == "gravity" else model
 
     @property
     def substates(self) -> tuple[Tensor, Tensor]:
@@ -179,11 +208,12 @@ class Simulation:
             return
         if self._models[0] is self.model:
             self._models = [copy.copy(self.model) for _ in self._models]
+        self._changed |= fields.keys()
         derive = not _CONSTANTS.isdisjoint(fields)
         changed = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
         for k, model in enumerate(changed):
             for name, value in fields.items():
-                getattr(model.opt if name == "gravity" else model, name)[:] = value[k]
+                getattr(self._owner(model, name), name)[:] = value[k]
             if derive:
                 mujoco.mj_setConst(model, self._data[0])
 

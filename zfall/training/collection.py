@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 from tensordict import NestedKey, TensorDictBase
 from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type
 
+from zfall.envs.env_state import env_state, load_env_state
 from zfall.modules.memory import memory_primer
 from zfall.simulation.turns import in_turns, physics_first
 
@@ -27,7 +28,8 @@ def group_sizes(num_envs: int, groups: int | None) -> list[int]:
             f"groups must be null, or from 1 to the {num_envs} worlds of num_envs, got {groups}."
         )
     count = groups or (2 if num_envs >= PAYS_FROM else 1)
-    return [len(part) for part in torch.arange(num_envs).tensor_split(count)]
+    fewer, more = divmod(num_envs, count)
+    return [fewer + (group < more) for group in range(count)]
 
 
 class Worlds:
@@ -132,11 +134,7 @@ class Worlds:
     def state_dict(self) -> list[dict[str, Any]]:
         """All that the envs depend on, one entry for each."""
         return [
-            {
-                "env": env.base_env.state_dict(),
-                "transforms": env.transform.state_dict(),
-                "carrier": carrier.to_dict(),
-            }
+            {"env": env_state(env), "carrier": carrier.to_dict()}
             for env, carrier in zip(self.envs, self.carriers, strict=True)
         ]
 
@@ -153,9 +151,15 @@ class Worlds:
                 f"groups must be as they were when the run began, of {before} worlds, got {sizes}."
             )
         for group, (env, state) in enumerate(zip(self.envs, states, strict=True)):
-            env.base_env.load_state_dict(state["env"])
-            env.transform.load_state_dict(state["transforms"])
+            load_env_state(env, _whole(state))
             carrier = self.carriers[group]
             self.carriers[group] = carrier.from_dict(
                 state["carrier"], batch_size=carrier.batch_size
             )
+
+
+def _whole(state: dict[str, Any]) -> dict[str, Any]:
+    """The env's state in a checkpoint, also in one from before it was one entry."""
+    if "transforms" in state:
+        return {"base_env": state["env"], "transform": state["transforms"]}
+    return state["env"]

@@ -79,7 +79,7 @@ class Curriculum(Transform):
         self.success = success
         self._targets: dict[str, tuple[Any, str]] = {}
         self.register_buffer("level", torch.full((env.num_envs,), level))
-        self.register_load_state_dict_post_hook(lambda module, _: module._move())
+        self.register_load_state_dict_post_hook(_move_fields)  # has a name: to be pickled
 
     def attach(self, transforms: Mapping[str, Transform]) -> None:
         """Finds the fields among the transforms of the table; called once by ``make_env``.
@@ -164,6 +164,10 @@ class Curriculum(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["curriculum_level"] = Unbounded((len(self.level), 1))
         return observation_spec
+
+
+def _move_fields(module: Curriculum, incompatible: Any) -> None:
+    module._move()
 
 
 def _number(value: Any) -> bool:

@@ -5,11 +5,12 @@ from collections.abc import Iterable
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import Compose, Transform
+from torchrl.envs import Compose, FrameSkipTransform, MultiAction, NoopResetEnv, Transform
 
 from zfall.envs.transforms.base_env import base_env_of
 
 COMMANDS = ("target", "control")
+STEP_COPIES = (FrameSkipTransform, MultiAction, NoopResetEnv)
 IN_A_COMPOSE = (
     "; a Compose runs these from its last to its first, so what acts on commands stands before "
     "what makes them: Compose(ActuatorDelay, JointPositionTarget), env.insert_transform(0, ...)."
@@ -56,9 +57,20 @@ def refuse_commands(transform: Transform, tensordict: TensorDictBase) -> None:
 
 
 def check_chain(transform: Transform) -> None:
-    """``check_order`` of all transforms in the env that a transform is part of, if there is one."""
+    """``check_order`` of all transforms in the env that a transform is part of, if there is one.
+
+    Also refuses those of TorchRL that step the env themselves, which they do with copies of the
+    others, each with a memory of its own: pushes would come twice, and commands late.
+    """
     env = transform.container
     if env is not None:
+        for other in flattened(env.transform):
+            if isinstance(other, STEP_COPIES):
+                raise ValueError(
+                    f"{type(other).__name__} must not be among the transforms of a task, which it "
+                    "steps in copies: give base_env a longer control_dt, or MultiAction to a "
+                    "TransformedEnv around the env that make_env builds."
+                )
         chain = [(type(t).__name__, t) for t in reversed(flattened(env.transform))]
         check_order(chain, IN_A_COMPOSE)
 

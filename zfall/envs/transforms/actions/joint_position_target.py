@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.action import read_action, replace_control
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.values import per_world
 
@@ -21,7 +22,8 @@ class JointPositionTarget(Transform):
 
     Keys: reads ``action`` ``(N, J)``, writes ``target`` ``(N, J)`` [rad], for the step and as an
     observation; after a reset it is the reference, in a recorded fall what it was then. The
-    action has no bounds.
+    bounds of the action are those whose targets are the ends of the joint's range: an action
+    beyond them does what the bound does. See ``read_action`` for what an action may be.
 
     Args:
         env: the base env.
@@ -52,7 +54,8 @@ class JointPositionTarget(Transform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         refuse_commands(self, tensordict)
         low, high = self.range.unbind(-1)
-        target = self.reference + per_world(self.scale, 2) * tensordict["action"]
+        action = read_action(tensordict, len(self.reference))
+        target = self.reference + per_world(self.scale, 2) * action
         return tensordict.set("target", torch.clamp(target, low, high))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -66,10 +69,9 @@ class JointPositionTarget(Transform):
         return tensordict_reset.set("target", targets_before(tensordict, target))
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
-        control = input_spec["full_action_spec"].pop("control")
-        shape = (*control.shape[:-2], control.shape[-1])
-        input_spec["full_action_spec", "action"] = Unbounded(shape)
-        return input_spec
+        scale = per_world(self.scale, 2)
+        low, high = ((end - self.reference) / scale for end in self.range.unbind(-1))
+        return replace_control(input_spec, low, high)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["target"] = Unbounded((*observation_spec.shape, len(self.reference)))

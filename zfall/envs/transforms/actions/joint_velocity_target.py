@@ -6,10 +6,11 @@ from typing import ClassVar
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.action import read_action, replace_control
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
@@ -102,7 +103,8 @@ class JointVelocityTarget(Transform):
         base_env_of(self)
         refuse_commands(self, tensordict)
         low, high = self.range.unbind(-1)
-        velocity = tensordict["action"].clamp(-1.0, 1.0) * per_world(self.limit, 2)
+        action = read_action(tensordict, len(self.range)).clamp(-1.0, 1.0)
+        velocity = action * per_world(self.limit, 2)
         velocity, start = velocity[:, None], self.position[:, None]
         position = torch.clamp(start + velocity * self.time, low, high)
         begin, end = position[:, :-1], position[:, 1:]  # of each tick, so that their distance
@@ -129,10 +131,8 @@ class JointVelocityTarget(Transform):
         return tensordict_reset.set("target", self.position.clone())
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
-        control = input_spec["full_action_spec"].pop("control")
-        shape = (*control.shape[:-2], control.shape[-1])
-        input_spec["full_action_spec", "action"] = Bounded(-1.0, 1.0, shape)
-        return input_spec
+        one = torch.ones(len(self.range))
+        return replace_control(input_spec, -one, one)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["target"] = Unbounded(self.position.shape)

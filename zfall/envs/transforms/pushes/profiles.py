@@ -29,14 +29,27 @@ class Profile:
     mean: float
 
 
-PROFILES = {
-    "rectangular": Profile(lambda u: u, 1.0),
-    "half_sine": Profile(lambda u: 0.5 * (1.0 - np.cos(math.pi * u)), 2.0 / math.pi),
-    "gaussian": Profile(
-        lambda u: 0.5 + 0.5 * erf(_WIDTH * (2.0 * u - 1.0) / math.sqrt(2)) / _WITHIN,
-        _WITHIN * math.sqrt(2 * math.pi) / (2 * _WIDTH),
-    ),
-    "ramp": Profile(lambda u: u * u, 0.5),
+def _rectangular(u: Array) -> Array:
+    return u
+
+
+def _half_sine(u: Array) -> Array:
+    return 0.5 * (1.0 - np.cos(math.pi * u))
+
+
+def _gaussian(u: Array) -> Array:
+    return 0.5 + 0.5 * erf(_WIDTH * (2.0 * u - 1.0) / math.sqrt(2)) / _WITHIN
+
+
+def _ramp(u: Array) -> Array:
+    return u * u
+
+
+PROFILES = {  # of functions with names, which can be pickled
+    "rectangular": Profile(_rectangular, 1.0),
+    "half_sine": Profile(_half_sine, 2.0 / math.pi),
+    "gaussian": Profile(_gaussian, _WITHIN * math.sqrt(2 * math.pi) / (2 * _WIDTH)),
+    "ramp": Profile(_ramp, 0.5),
 }
 """By name; ``half_sine`` and ``gaussian`` are bells, ``ramp`` grows to its peak and stops."""
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from tensordict import TensorDictBase
-from torchrl.data import Composite
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.transforms.base_env import needs_steps
@@ -41,5 +41,6 @@ class LastAction(Transform):
                 f"LastAction needs an action, as JointPositionTarget brings it, got an env that "
                 f"reads {', '.join(map(str, actions.keys()))}."
             )
-        observation_spec["last_action"] = actions["action"].clone()
+        # Policies may go beyond the bounds of an action, where it does what the bound does.
+        observation_spec["last_action"] = Unbounded(actions["action"].shape)
         return observation_spec

@@ -1,0 +1,48 @@
+"""Whether the state of a base env fits another one."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from zfall.simulation.cpu import Simulation
+from zfall.simulation.model import identity_of
+
+
+def made_for(env: Any) -> dict[str, Any]:
+    """What a base env is made for, and its state with it."""
+    return {
+        "num_envs": env.num_envs,
+        "robot": identity_of(env.robot),
+        "control_dt": env.control_dt,
+        "physics_dt": env.physics_dt,
+    }
+
+
+def check_made_for(state: Mapping[str, Any], here: Mapping[str, Any], sim: Simulation) -> None:
+    """Refuses the state of another env.
+
+    Args:
+        state: of a base env, from before ``made_for`` was in it, perhaps.
+        here: what this env is made for.
+        sim: of this env.
+
+    Raises:
+        ValueError: naming the first difference.
+    """
+    if "simulation" not in state:
+        raise ValueError(
+            "an env's state must be what env.state_dict() gives, "
+            f"got {', '.join(map(str, state)) or 'nothing'}."
+        )
+    made_for = state.get("made_for", {})
+    for key, value in here.items():
+        if made_for.get(key, value) != value:
+            raise ValueError(
+                f"an env's state must be of the same {key}, {value}, got {made_for[key]}."
+            )
+    for key, value in sim.state_dict().items():
+        given = state["simulation"][key]
+        if given.shape != value.shape:
+            raise ValueError(
+                "an env's state must be of as many worlds and of the same robot, ball and push "
+                f"points, {key} {tuple(value.shape)}, got {tuple(given.shape)}."
+            )

@@ -1,0 +1,88 @@
+"""What the base env observes after a step or a reset."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+
+from zfall.envs.ball_state import BallState
+from zfall.simulation.cpu import Simulation
+from zfall.simulation.parameters import PhysicsParameters
+from zfall.simulation.read_quantities import QuantityReader
+
+Observed = dict[NestedKey, Tensor]
+
+
+class Observer:
+    """Puts together all quantities of the worlds.
+
+    Args:
+        read: gives the robot's quantities.
+        parameters: of the physics.
+        ball: the state of a ball, if there is one.
+
+    Attributes:
+        recorded: keys that are also written after each physics step.
+    """
+
+    def __init__(self, read: QuantityReader, parameters: PhysicsParameters, ball: BallState | None):
+        self._read, self._parameters, self._ball = read, parameters, ball
+        self.recorded: tuple[str, ...] = ()
+
+    def __call__(
+        self,
+        simulation: Simulation,
+        sensors: Tensor,
+        index: Tensor | None = None,
+        before: Observed | None = None,
+    ) -> Observed:
+        """All quantities ``(N, ...)``.
+
+        Args:
+            simulation: whose worlds.
+            sensors: sensor values of the step ``(N, S, nsensordata)``.
+            index: of worlds to observe anew ``(K,)``; all if ``None``.
+            before: what the other worlds keep.
+        """
+        parameters = self._parameters
+        states = (simulation.qpos, simulation.qvel)
+        out = self._read(
+            *states, sensors, parameters.gravity, parameters.mass, index=index, before=before
+        )
+        new: Observed = {}
+        if self.recorded:
+            arrays = _rows_of((*simulation.substates, sensors, parameters.gravity), index)
+            by_step = self._read.substeps(self.recorded, *arrays)
+            new |= {("substeps", key): value for key, value in by_step.items()}
+        if self._ball:
+            new |= self._ball.read(_rows_of(states, index))
+        if index is not None and before is not None:
+            new = {key: before[key].index_copy(0, index, value) for key, value in new.items()}
+        return out | new
+
+
+def with_flags(observed: Mapping[NestedKey, Tensor], diverged: Tensor) -> TensorDictBase:
+    """What was observed, and the flags: of the base env only failed physics ends an episode.
+
+    Args:
+        observed: values ``(N, ...)`` by key.
+        diverged: where the physics failed ``(N, 1)`` bool.
+    """
+    flags = {key: diverged.clone() for key in ("diverged", "terminated", "done")}
+    flags["truncated"] = torch.zeros_like(diverged)
+    flat = {key: value for key, value in observed.items() if isinstance(key, str)}
+    # Without the checks of each value, whose shapes are known: they take longer than the rest.
+    out = TensorDict._new_unsafe(flat | flags, batch_size=diverged.shape[:1])
+    for key, value in observed.items():
+        if key not in flat:
+            out[key] = value
+    return out
+
+
+def _rows_of(arrays: Iterable[Tensor | None], index: Tensor | None) -> list[Any]:
+    """The rows in ``index`` ``(K,)`` of each, all if it is ``None``; ``None`` stays."""
+    if index is None:
+        return list(arrays)
+    return [None if array is None else array.index_select(0, index) for array in arrays]

@@ -1,0 +1,77 @@
+"""Pictures of the robot, without a screen."""
+
+import os
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+INSTALL = (
+    "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6), and set MUJOCO_GL=egl (or osmesa)"
+)
+
+
+def make_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
+    """A renderer without a screen.
+
+    Raises:
+        RuntimeError: if no OpenGL is to be had, naming what to install, or what to set.
+    """
+    if refused := os.environ.get("ZFALL_REFUSED_GL"):
+        raise RuntimeError(
+            f"MUJOCO_GL must be egl, osmesa or glfw for pictures, or not be set, got {refused}."
+        )
+    try:
+        return mujoco.Renderer(model, height, width)
+    except Exception as error:
+        raise RuntimeError(
+            f"rendering needs OpenGL without a screen; install: {INSTALL}"
+        ) from error
+
+
+class Camera:
+    """Takes pictures by the MJCF's camera ``track``, with a renderer that it makes for the first.
+
+    Args:
+        model: the compiled model.
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        self._model = model
+        self.close()
+
+    def picture(
+        self, qpos: NDArray[np.float64], height: int = 480, width: int = 640
+    ) -> NDArray[np.uint8]:
+        """One picture ``(height, width, 3)``.
+
+        Args:
+            qpos: a state ``(nq,)`` in MuJoCo's order.
+            height, width: of the picture [pixels].
+
+        Raises:
+            RuntimeError: if no OpenGL is to be had.
+        """
+        if self._size != (height, width):
+            self.close()
+            self._renderer = make_renderer(self._model, width, height)
+            self._data, self._size = mujoco.MjData(self._model), (height, width)
+        self._data.qpos[:] = qpos
+        mujoco.mj_forward(self._model, self._data)
+        self._renderer.update_scene(self._data, camera="track")
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Frees the renderer; the next picture makes a new one."""
+        if getattr(self, "_renderer", None) is not None:
+            self._renderer.close()
+        self._renderer: Any = None
+        self._size = (0, 0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles make their own renderer."""
+        return {"_model": self._model}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["_model"])  # type: ignore[misc]
