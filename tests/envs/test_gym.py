@@ -212,3 +212,82 @@ def test_stable_baselines_trains_on_it():
     after = model.policy.action_net.weight
     assert after.isfinite().all()
     assert (after != before).any()
+
+
+def ending(mode):
+    """A vector env two of whose worlds time out after three steps."""
+    return gymnasium.make_vec(
+        "zfall/PushRecovery-v0", num_envs=2, training=False, autoreset_mode=mode,
+        overrides=["env.transforms.limit.seconds=0.12"],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_worlds_begin_anew_when_the_mode_says_so(mode):
+    envs = ending(mode)
+    assert envs.metadata["autoreset_mode"] is mode
+    start, _ = envs.reset(seed=0)
+    still = np.zeros((2, 20), np.float32)
+    for _ in range(2):
+        _observation, *_ = envs.step(still)
+    last, reward, terminated, truncated, info = envs.step(still)
+    assert truncated.all()
+    assert not terminated.any()
+    assert (reward > 0).all()
+    if mode is AutoresetMode.SAME_STEP:
+        assert np.array_equal(last, start)  # without noise every start is the same
+        assert not np.array_equal(info["final_obs"][0], start[0])
+        return
+    assert not np.array_equal(last, start)
+    assert "final_obs" not in info
+    if mode is AutoresetMode.NEXT_STEP:
+        after, reward, terminated, truncated, info = envs.step(np.ones((2, 20), np.float32))
+        assert not (terminated | truncated).any()
+        assert not reward.any()
+        assert info == {}
+    else:
+        after, _ = envs.reset(options={"reset_mask": np.array([True, False])})
+        assert np.array_equal(after[1], last[1])
+        after = after[[0, 0]]
+    assert np.array_equal(after, start)
+
+
+def test_a_world_that_begins_in_the_next_step_has_a_whole_episode():
+    envs, steps = ending("NEXT_STEP"), []
+    envs.reset(seed=0)
+    for step in range(9):
+        *_, truncated, _ = envs.step(np.zeros((2, 20), np.float32))
+        steps += [step] if truncated.all() else []
+    assert steps == [2, 6]  # three steps, then one that does not count
+
+
+@pytest.mark.parametrize(
+    ("mode", "options", "said"),
+    [
+        ("SAME_STEP", {"reset_mask": np.ones(2, bool)}, r"autoreset_mode=AutoresetMode.DISABLED"),
+        ("DISABLED", {"reset_mask": np.ones(3, bool)}, r"reset_mask must be \(2,\) bool, got \(3,\)"),
+        ("DISABLED", {"reset_mask": np.ones(2)}, r"reset_mask must be .* float64"),
+        ("DISABLED", {"mask": 1}, r"options must be empty"),
+    ],
+)  # fmt: skip
+def test_resets_of_some_worlds_are_checked(mode, options, said):
+    envs = ending(mode)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=said):
+        envs.reset(options=options)
+
+
+def test_an_unknown_mode_of_resets_is_refused():
+    with pytest.raises(ValueError, match=r"autoreset_mode must be one of NEXT_STEP.* got 'later'"):
+        ending("later")
+
+
+def test_all_worlds_are_rendered():
+    envs = gymnasium.make_vec("zfall/PushRecovery-v0", num_envs=2, render_mode="rgb_array")
+    envs.reset(seed=0)
+    pictures = envs.render()
+    assert len(pictures) == 2
+    assert pictures[0].shape == (480, 640, 3)
+    assert pictures[0].dtype == np.uint8
+    assert pictures[0].std() > 5  # something is to be seen
+    envs.close()

@@ -4,11 +4,14 @@ from pathlib import Path
 
 import gymnasium
 import pytest
+import torch
 from hydra import compose
+from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 import zfall  # noqa: F401 (registers the names)
-from zfall.envs.tasks import ACTION_LIMIT, action_bounds, build_task
+from zfall.envs import dm_task, gym
+from zfall.envs.tasks import action_bounds, build_task
 
 TABLES = {path.stem for path in (Path(__file__).parents[2] / "recipes" / "env").glob("*.yaml")}
 
@@ -63,17 +66,35 @@ def test_naming_a_task_leaves_the_hydra_around_it_alone(compose_config):
         assert compose("evaluate").battery.name == "planar"
 
 
-def test_no_servo_reaches_further_than_the_largest_action():
-    """The limit is no limit: it turns every servo from its reference to the end of its range."""
-    env = build_task("push_recovery", num_envs=1)
-    low, high = action_bounds(env)
-    assert (high == ACTION_LIMIT).all()
-    assert (low == -ACTION_LIMIT).all()
+@pytest.mark.parametrize(("task", "scale"), [("push_recovery", 0.6), ("zeroth_fall", 1.0)])
+def test_bounds_of_the_action_reach_the_ends_of_each_joint_and_no_further(task, scale):
+    """``reference + scale x bound`` is an end of the range, by the definition of the target."""
+    env = build_task(task, num_envs=2, training=False)
+    low, high = (torch.from_numpy(bound) for bound in action_bounds(env))
     base = env.base_env
-    furthest = (base.joint_range - base.stand_position[:, None]).abs().max().item()
-    assert furthest <= 0.6 * ACTION_LIMIT
+    for bound, end in ((low, 0), (high, 1)):
+        assert_close(base.stand_position + scale * bound, base.joint_range[:, end])
+        targets = []
+        for action in (bound, 1.5 * bound):
+            td = env.reset().set("action", action.expand(2, -1))
+            targets.append(env.step(td)["next", "target"])
+        assert_close(targets[0], base.joint_range[:, end].expand(2, -1))
+        assert_close(*targets, atol=1e-6, rtol=0)
 
 
-def test_limit_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match=r"action_limit must be positive, got 0"):
-        action_bounds(build_task("push_recovery", num_envs=1), 0.0)
+def test_velocities_are_bounded_by_one():
+    low, high = action_bounds(build_task("icub_balance", num_envs=1))
+    assert (low == -1).all()
+    assert (high == 1).all()
+
+
+def test_all_faces_have_the_same_bounds():
+    for task in ("push_recovery", "icub_balance"):
+        low, high = action_bounds(build_task(task, num_envs=1))
+        for face in (gym.TaskEnv(task), gym.TaskVectorEnv(task, num_envs=2)):
+            space = getattr(face, "single_action_space", face.action_space)
+            assert (space.low == low).all()
+            assert (space.high == high).all()
+        spec = dm_task.load(task).action_spec()
+        assert (spec.minimum == low).all()
+        assert (spec.maximum == high).all()

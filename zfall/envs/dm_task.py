@@ -103,7 +103,7 @@ class TableTask(control.Task):
         self._td = self.torchrl_env.step(td)
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
-        """Bounds of the action ``(J,)``, see ``zfall.envs.tasks.ACTION_LIMIT``."""
+        """Bounds of the action ``(J,)``, those of the TorchRL env."""
         low, high = action_bounds(self.torchrl_env)
         return specs.BoundedArray(low.shape, low.dtype, low, high, name="action")
 

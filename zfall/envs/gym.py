@@ -8,7 +8,6 @@ from numbers import Integral
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 import torch
 from gymnasium.spaces import Box, Space
@@ -19,7 +18,7 @@ from tensordict import TensorDictBase
 from torch.nn.parameter import is_lazy
 from torchrl.envs import TransformedEnv, step_mdp
 
-from zfall.envs.tasks import ACTION_LIMIT, Table, action_bounds, build_task
+from zfall.envs.tasks import Table, action_bounds, build_task
 
 Array = NDArray[Any]
 Info = dict[str, Any]
@@ -36,12 +35,10 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         task: name of a table of ``recipes/env``, or a table.
         training: whether to keep what the table calls ``training_only``: pushes, noise, delays.
         overrides: values to change in a table named, written as for ``recipes.train``.
-        action_limit: bound of actions that have none, see
-            ``zfall.envs.tasks.ACTION_LIMIT``. It is the bound of the action space and not enforced.
         render_mode: ``rgb_array`` or nothing.
 
     Raises:
-        ValueError: on an unknown name, overrides to a table that is no name, or a bad limit.
+        ValueError: on an unknown name, overrides to a table that is no name, or another mode.
     """
 
     metadata = {"render_modes": ["rgb_array"]}
@@ -52,17 +49,12 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         *,
         training: bool = True,
         overrides: Collection[str] = (),
-        action_limit: float = ACTION_LIMIT,
         render_mode: str | None = None,
     ):
         self.torchrl_env = build_task(task, num_envs=1, training=training, overrides=overrides)
-        self.observation_space, self.action_space = _spaces(self.torchrl_env, action_limit)
-        fps = round(1 / self.torchrl_env.base_env.control_dt)
-        self.metadata = type(self).metadata | {"render_fps": fps}
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode must be rgb_array or None, got {render_mode!r}.")
-        self.render_mode = render_mode
-        self._renderer: mujoco.Renderer | None = None
+        self.observation_space, self.action_space = _spaces(self.torchrl_env)
+        self.metadata = type(self).metadata | {"render_fps": _frame_rate(self.torchrl_env)}
+        self.render_mode = _known_mode(render_mode)
         self._seeded, self._fresh = False, _buffers(self.torchrl_env)
 
     def reset(
@@ -94,33 +86,26 @@ class TaskEnv(gymnasium.Env[Array, Array]):
 
     def render(self) -> Any:
         """The robot as the camera ``track`` sees it ``(480, 640, 3)``, in mode ``rgb_array``."""
-        if self.render_mode is None:
-            return None
-        simulation = self.torchrl_env.base_env.simulation
-        if self._renderer is None:
-            self._renderer = mujoco.Renderer(simulation.model, 480, 640)
-            self._data = mujoco.MjData(simulation.model)
-        self._data.qpos[:] = simulation.qpos[0]
-        mujoco.mj_forward(simulation.model, self._data)
-        self._renderer.update_scene(self._data, camera="track")
-        return self._renderer.render()
+        return None if self.render_mode is None else self.torchrl_env.base_env.render()[0]
 
     def close(self) -> None:
         """Frees the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self.torchrl_env.base_env.camera.close()
 
 
 class TaskVectorEnv(VectorEnv[Array, Array, Array]):
     """A task in many worlds, stepped together; arguments as ``TaskEnv``.
 
-    Worlds that end begin anew in the same step: what they ended with is in ``final_obs`` and
-    ``final_info``, in gymnasium's mode ``SAME_STEP``. One seed is for all worlds: they share a
-    random stream.
+    ``autoreset_mode`` says when worlds that end begin anew, as gymnasium defines it:
+
+    - ``SAME_STEP``: in that step; what they ended with is in ``final_obs`` and ``final_info``.
+    - ``NEXT_STEP``: in the step after it, which takes no notice of their action.
+    - ``DISABLED``: when ``reset(options={"reset_mask": mask})`` names them ``(N,)`` bool.
+
+    One seed is for all worlds: they share a random stream.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -129,22 +114,32 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
         num_envs: int,
         training: bool = True,
         overrides: Collection[str] = (),
-        action_limit: float = ACTION_LIMIT,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        render_mode: str | None = None,
     ):
+        self.autoreset_mode, self.render_mode = (
+            _known_reset(autoreset_mode),
+            _known_mode(render_mode),
+        )
         self.num_envs = num_envs
         self.torchrl_env = build_task(
             task, num_envs=num_envs, training=training, overrides=overrides
         )
-        spaces = _spaces(self.torchrl_env, action_limit)
+        spaces = _spaces(self.torchrl_env)
         self.single_observation_space, self.single_action_space = spaces
         self.observation_space, self.action_space = (batch_space(s, num_envs) for s in spaces)
+        self.metadata = type(self).metadata | {
+            "autoreset_mode": self.autoreset_mode,
+            "render_fps": _frame_rate(self.torchrl_env),
+        }
         self._seeded, self._fresh = False, _buffers(self.torchrl_env)
+        self._ended = np.zeros(num_envs, dtype=bool)  # in the last step
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, Info]:
-        """Begins an episode in every world."""
-        _refuse(options)
+        """Begins an episode in every world, or in those of ``options["reset_mask"]``."""
+        mask = self._masked(dict(options or {}))
         if seed is not None and not isinstance(seed, Integral):
             raise ValueError(f"seed must be one number for all worlds, got {seed}.")
         super().reset(seed=seed)
@@ -152,16 +147,36 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
             _seed(self.torchrl_env, self.np_random)
             self.torchrl_env.transform.load_state_dict(self._fresh, strict=False)
             self._seeded = True
-        self._td = self.torchrl_env.reset()
+        if mask is None:
+            self._td = self.torchrl_env.reset()
+        else:
+            self._begin(mask)
+        self._ended = np.zeros_like(self._ended)
         return _array(self._td["observation"]), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Takes one control step in every world."""
         self._td["action"] = _tensor(actions, self.action_space)
-        data, self._td = self.torchrl_env.step_and_maybe_reset(self._td)
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            data = self.torchrl_env.step(self._td)
+            self._td = step_mdp(data)
+        else:
+            data, self._td = self.torchrl_env.step_and_maybe_reset(self._td)
         after = data["next"]
         terminated, truncated = (_array(after[key][:, 0]) for key in ("terminated", "truncated"))
-        ended = terminated | truncated
+        reward = _array(after["reward"][:, 0].double())
+        began = np.zeros_like(self._ended)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
+            # All worlds step together: these have been reset for a step that does not count.
+            began = self._ended
+            self._begin(began)
+            terminated, truncated = terminated & ~began, truncated & ~began
+            reward[began] = 0.0
+        ended = self._ended = terminated | truncated
+        observation = _array(self._td["observation"])
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            observation[ended] = _array(after["observation"])[ended]
+            return observation, reward, terminated, truncated, _info(after, ~began)
         info = _info(after, ~ended)
         if ended.any():
             final = np.full(self.num_envs, None, dtype=object)
@@ -169,14 +184,62 @@ class TaskVectorEnv(VectorEnv[Array, Array, Array]):
                 final[world] = _array(after["observation"][world])
             info |= {"final_obs": final, "_final_obs": ended.copy()}
             info |= {"final_info": _info(after, ended), "_final_info": ended.copy()}
-        reward = _array(after["reward"][:, 0].double())
-        return _array(self._td["observation"]), reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> Any:
+        """A picture of each world ``(480, 640, 3)``, in mode ``rgb_array``."""
+        return None if self.render_mode is None else tuple(self.torchrl_env.base_env.render())
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Frees the renderer."""
+        self.torchrl_env.base_env.camera.close()
+
+    def _begin(self, worlds: Array) -> None:
+        """Puts worlds ``(N,)`` bool into new episodes."""
+        self._td["_reset"] = torch.from_numpy(worlds)[:, None]
+        self._td = self.torchrl_env.reset(self._td)
+
+    def _masked(self, options: dict[str, Any]) -> Array | None:
+        """The worlds that a reset is for; all if ``None``."""
+        mask = options.pop("reset_mask", None)
+        _refuse(options)
+        if mask is None:
+            return None
+        if self.autoreset_mode is not AutoresetMode.DISABLED or not hasattr(self, "_td"):
+            raise ValueError(
+                "reset_mask must come after a reset of all worlds, with "
+                f"autoreset_mode=AutoresetMode.DISABLED, got {self.autoreset_mode}."
+            )
+        worlds = np.array(mask)
+        if worlds.shape != (self.num_envs,) or worlds.dtype != bool:
+            raise ValueError(
+                f"reset_mask must be ({self.num_envs},) bool, got {worlds.shape} {worlds.dtype}."
+            )
+        return worlds
 
 
-def _spaces(env: TransformedEnv, limit: float) -> tuple[Box, Box]:
+def _known_mode(render_mode: str | None) -> str | None:
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode must be rgb_array or None, got {render_mode!r}.")
+    return render_mode
+
+
+def _known_reset(mode: AutoresetMode | str) -> AutoresetMode:
+    names = {name: known for known in AutoresetMode for name in (known, known.name, known.value)}
+    if mode not in names:
+        known = ", ".join(known.name for known in AutoresetMode)
+        raise ValueError(f"autoreset_mode must be one of {known}, got {mode!r}.")
+    return names[mode]
+
+
+def _frame_rate(env: TransformedEnv) -> int:
+    return round(1 / env.base_env.control_dt)
+
+
+def _spaces(env: TransformedEnv) -> tuple[Box, Box]:
     """Observation and action space of one world."""
     size = env.observation_spec["observation"].shape[-1]
-    return Box(-np.inf, np.inf, (size,), np.float32), Box(*action_bounds(env, limit))
+    return Box(-np.inf, np.inf, (size,), np.float32), Box(*action_bounds(env))
 
 
 def _buffers(env: TransformedEnv) -> dict[str, torch.Tensor]:

@@ -16,10 +16,6 @@ from zfall.errors import in_one_line
 
 Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
 
-# An action has no bounds here, other APIs want finite ones. With 0.6 rad for an action
-# of 1, this one turns any servo from its standing angle to the end of its range.
-ACTION_LIMIT = 5.25
-
 
 def build_task(
     task: str | Table, *, num_envs: int, training: bool = True, overrides: Collection[str] = ()
@@ -52,19 +48,12 @@ def build_task(
         raise ValueError(in_one_line(error)) from error
 
 
-def action_bounds(
-    env: TransformedEnv, limit: float = ACTION_LIMIT
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Smallest and largest action of one world ``(J,)``, its own or ``limit`` if it has none.
-
-    Raises:
-        ValueError: if ``limit`` is not positive.
-    """
-    if not limit > 0:
-        raise ValueError(f"action_limit must be positive, got {limit}.")
+def action_bounds(env: TransformedEnv) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Smallest and largest action of one world ``(J,)``, infinite where it has no bound."""
     space = env.full_action_spec["action"][0].space
-    low, high = space.low.clamp_min(-limit), space.high.clamp_max(limit)
-    return low.numpy(), high.numpy()
+    largest = np.finfo(np.float32).max  # what TorchRL's Unbounded says
+    low, high = space.low.numpy(), space.high.numpy()
+    return np.where(low <= -largest, -np.inf, low), np.where(high >= largest, np.inf, high)
 
 
 def _is_for_critic(transform: Transform | Table) -> bool:
