@@ -64,3 +64,12 @@ def test_long_tables_are_folded(folder):
     rows = pd.DataFrame({"largest": np.linspace(0, 1, 96)})
     rows.to_csv(folder / "evaluation" / "planar" / "envelope.csv", index=False)
     assert "<summary>96 rows</summary>" in write_report(folder).read_text()
+
+
+def test_overrides_of_a_run_are_shown_as_they_stand(folder, monkeypatch):
+    monkeypatch.setenv("SECRET", "hush")
+    (folder / ".hydra").mkdir(exist_ok=True)
+    (folder / ".hydra" / "overrides.yaml").write_text("- name=${oc.env:SECRET}\n")
+    page = write_report(folder).read_text()
+    assert "hush" not in page
+    assert "${oc.env:SECRET}" in page

@@ -5,6 +5,7 @@ import torch
 from rich.console import Console
 
 import zfall
+from zfall.policies.load import shipped
 from zfall.training import Learner, run_training
 
 SIZES = {"num_envs": 8, "rollout_steps": 4, "minibatches": 2, "total_frames": 64, "logger": []}
@@ -44,6 +45,19 @@ def test_a_value_of_the_env_can_be_replaced(folder):
     assert policy.config.env.transforms.action.scale == 0.3
     with pytest.raises(ValueError, match=r"change must .*transforms\.nothing"):
         zfall.load_policy(folder, changes=["transforms.nothing=1"])
+
+
+@pytest.mark.parametrize("link", ["play.json", "evaluation", "checkpoints/last.tmp"])
+def test_a_run_folder_that_leads_to_files_elsewhere_is_refused(tmp_path, link):
+    run = tmp_path / "run"
+    (run / "checkpoints").mkdir(parents=True)
+    (run / "checkpoints" / "last.pt").write_bytes(shipped("best").read_bytes())
+    (run / "newest.pt").symlink_to("checkpoints/last.pt")  # within the folder
+    zfall.load_policy(run)
+    (tmp_path / "mine").write_text("mine")
+    (run / link).symlink_to(tmp_path / "mine")
+    with pytest.raises(ValueError, match=f"must be a run folder of plain files, .*{link}"):
+        zfall.load_policy(run)
 
 
 def test_what_is_no_policy_is_refused(tmp_path):

@@ -12,9 +12,9 @@ from typing import Any
 
 import pandas as pd
 from jinja2 import Environment
-from omegaconf import OmegaConf
 
 from zfall.commands import shell_line
+from zfall.trust import texts_of_file
 
 PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 CAPTIONS = {
@@ -148,7 +148,7 @@ def _reproduction(folder: Path, command: str) -> Section:
     out = Section("To get this again")
     overrides = folder / ".hydra" / "overrides.yaml"
     if overrides.exists():
-        given = shlex.join(map(str, OmegaConf.load(overrides)))
+        given = shlex.join(texts_of_file(overrides))
         out.notes.append(shell_line("train", given))
     if (folder / "comparison.csv").exists():
         out.notes += [command] if command else []

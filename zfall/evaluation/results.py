@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from omegaconf import OmegaConf
 from rich.console import Console
 
 from zfall.evaluation.comparison import compare
@@ -14,6 +13,7 @@ from zfall.evaluation.definitions import Battery
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.writers import Written, write_summary, write_table
 from zfall.robots import Robot
+from zfall.trust import texts_of_file
 
 
 @dataclass(frozen=True)
@@ -122,4 +122,4 @@ def labels(names: list[str]) -> list[str]:
 def _given_to(folder: Path) -> list[str]:
     """What the shell gave to a run."""
     path = folder / ".hydra" / "overrides.yaml"
-    return list(OmegaConf.load(path)) if path.exists() else []
+    return texts_of_file(path) if path.exists() else []

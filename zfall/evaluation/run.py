@@ -26,6 +26,7 @@ from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.plans import plan_trials
 from zfall.evaluation.results import Result, result_of, write_results
 from zfall.policies.load import Policy
+from zfall.trust import trusting
 
 QUIET = Console(quiet=True)
 
@@ -40,6 +41,7 @@ def evaluate(
     env: DictConfig | str | None = None,
     change: Sequence[str] = (),
     keep: Sequence[str] = (),
+    trust: Sequence[str] = (),
     console: Console = QUIET,
     **options: Any,
 ) -> Result:
@@ -61,6 +63,7 @@ def evaluate(
         env: of a baseline, config or name; ``None``: that of the battery's kind.
         change: values of the env to replace, ``["transforms.action.scale=0.5"]``.
         keep: what of the env's ``training_only`` to leave on, ``["noise", "delay"]``.
+        trust: modules of one's own that a run may name, see ``zfall.trust``; their code is run.
         console: on which to show progress.
         options: numbers of the battery to replace, ``starts=5``.
 
@@ -73,14 +76,15 @@ def evaluate(
     if isinstance(battery, Battery) and options:
         raise ValueError(f"options must be given to load_battery, got {', '.join(options)}.")
     given = battery if isinstance(battery, Battery) else load_battery(battery, **options)
-    (candidate,) = load_candidates(
-        [policy],
-        task=env,
-        default_task=kind_of(given).baseline_task,
-        checkpoint=checkpoint,
-        change=change,
-        keep=keep,
-    )
+    with trusting(trust):
+        (candidate,) = load_candidates(
+            [policy],
+            task=env,
+            default_task=kind_of(given).baseline_task,
+            checkpoint=checkpoint,
+            change=change,
+            keep=keep,
+        )
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)
     return result_of(given, candidate.label, candidate.robot, trials)
 

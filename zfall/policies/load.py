@@ -113,10 +113,22 @@ def checkpoint_of(
 def check_holds_run(folder: Path, key: str) -> None:
     """Refuses a folder that holds no checkpoint, naming the newest run below it.
 
+    Recipes write into the folder of a run that they read: it must not lead to files elsewhere.
+
     Raises:
-        ValueError: if there is no such folder, or it is not that of a run.
+        ValueError: if there is no such folder, it is not that of a run, or a link leads out of it.
     """
     if (folder / "checkpoints").is_dir():
+        inside = folder.resolve()
+        for path in folder.rglob("*"):
+            real = path.resolve()
+            if real.is_relative_to(inside) and (real.is_file() or real.is_dir()):
+                continue
+            if path.is_symlink() or path.exists():  # else it was just taken away
+                raise ValueError(
+                    f"{key} must be a run folder of plain files, {path} is none of it: "
+                    "put the file itself there, or remove it."
+                )
         return
     if not folder.is_dir():
         raise ValueError(f"{key} must be a run folder, there is no folder {folder}.")
