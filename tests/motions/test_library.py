@@ -220,5 +220,5 @@ def test_a_gait_that_would_bend_a_joint_too_far_is_refused():
 
 
 def test_a_robot_without_motions_is_refused_by_name():
-    with pytest.raises(ValueError, match="robot must have reference motions, other lacks"):
+    with pytest.raises(ValueError, match="robot must have reference motions, .*other"):
         load_motions(replace(ZEROTH01, name="other"))

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from zfall.arrays import arrays_of
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.robots import Robot
 
@@ -45,14 +45,9 @@ def load_bank(
             numbers.
     """
     rule = f"{name} must be a file that recipes.falling.falls wrote"
-    if not path.is_file():
-        raise ValueError(f"{rule}, there is no {path}.")
-    try:
-        with np.load(path) as file:
-            known = [key for key in (*STATE_KEYS, *PUSH_KEYS, *SEEN_KEYS) if key in file]
-            states = {key: torch.from_numpy(file[key]).float().flatten(1) for key in known}
-    except (ValueError, TypeError, AttributeError, BadZipFile) as error:
-        raise ValueError(f"{rule}, {path} is none.") from error
+    with arrays_of(path, rule) as file:
+        known = [key for key in (*STATE_KEYS, *PUSH_KEYS, *SEEN_KEYS) if key in file]
+        states = {key: torch.from_numpy(file[key]).float().flatten(1) for key in known}
     lacking = [key for key in (*STATE_KEYS, *needs) if key not in states]
     if lacking:
         raise ValueError(f"{rule}, {path} lacks {lacking[0]}: record it again.")

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from zfall.arrays import arrays_of
 from zfall.falling.files import own_file
 from zfall.robots import Robot
 
@@ -47,11 +48,7 @@ def load_catches(robot: Robot, path: Path | None = None) -> Catches:
         ValueError: if there is no such file, or it is of another robot.
     """
     path = path or catches_path(robot)
-    if not path.is_file():
-        raise ValueError(
-            f"catches must be a file that recipes.falling.catches wrote, there is no {path}."
-        )
-    with np.load(path) as file:
+    with arrays_of(path, "catches must be a file that recipes.falling.catches wrote") as file:
         postures, until, speeds = (
             torch.from_numpy(file[k]).float() for k in ("postures", "until", "speeds")
         )

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from zfall.arrays import arrays_of
 from zfall.motions.gaits import Gait, Times, center_of_mass, feet
 from zfall.robots import ZEROTH01, Robot
 from zfall.simulation.quantities import STATE_KEYS
@@ -194,9 +195,7 @@ def load_motions(robot: Robot) -> dict[str, Motion]:
         ValueError: if there are none.
     """
     path = motions_file(robot)
-    if not path.exists():
-        raise ValueError(f"robot must have reference motions, {robot.name} lacks {path}.")
-    with np.load(path, allow_pickle=False) as file:
+    with arrays_of(path, "robot must have reference motions") as file:
         ends = np.cumsum(file["count"])[:-1]
         parts = {key: np.split(file[key], ends) for key in STATE_KEYS}
         return {
