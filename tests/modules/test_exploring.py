@@ -31,5 +31,5 @@ def test_a_policy_with_memory_or_of_another_head_is_refused():
     wanted = "actor must be a plain Gaussian without memory"
     with pytest.raises(ValueError, match=f"{wanted} .*, got MixtureOfGaussians"):
         ExploringActor(mlp_actor(*SPECS, num_cells=[8], components=2))
-    with pytest.raises(ValueError, match=f"{wanted} .*, got a GRU"):
+    with pytest.raises(ValueError, match=f"{wanted} .*, got a memory"):
         ExploringActor(gru_actor(*SPECS, hidden_size=4, num_layers=1))

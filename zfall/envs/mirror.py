@@ -5,6 +5,7 @@ The general quantities are known here. A transform that writes others declares h
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,8 +25,11 @@ _SIGNS: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(("base_orientation", "imu_orientation"), _QUATERNION),
     **dict.fromkeys(("tilt", "roll_pitch"), (-1.0, 1.0)),
     **dict.fromkeys(
-        ("base_height", "base_acceleration_peak", "joint_torque_peak", "params/foot_friction"),
+        ("base_height", "base_acceleration_peak", "joint_torque_peak"),
         (1.0,),
+    ),
+    **dict.fromkeys(
+        ("params/foot_friction", "params/floor_friction", "params/battery_voltage"), (1.0,)
     ),
     "step_count": (1.0,),
     "params/slope": (1.0, -1.0),
@@ -38,21 +42,37 @@ _FOOT_SIGNS: dict[str, tuple[float, ...]] = {
     "feet_orientation": _QUATERNION,
     "feet_cop": (1.0, -1.0),
 }
-_JOINTS = ("joint_position", "joint_velocity", "joint_torque", "target", "action", "last_action")
+_JOINTS = (
+    *("joint_position", "joint_velocity", "joint_torque", "target", "action", "last_action"),
+    "params/joint_zero_offset",
+)
+_OF_JOINTS = tuple(  # factors: the other joint's, whatever the signs of their angles
+    f"params/{name}"
+    for name in ("joint_friction_loss", "joint_damping", "joint_armature", "servo_stiffness",
+                 "servo_torque_limit")
+)  # fmt: skip
 _OF_REGIONS = ("contact_force_peak", "contact_impulse")
 _WITHIN_RANGE = ("joint_position", "target")  # left and right need not have the same ranges
 
-Permutation = tuple[Sequence[int], Sequence[float]]
-Declared = Mapping[str, tuple[float, ...] | str]  # of ``mirrors_of``
+
+class Permutation(NamedTuple):
+    """Of each component of a quantity, where its image comes from, and the sign."""
+
+    places: Sequence[int]
+    signs: Sequence[float]
 
 
-def mirrors_of(transforms: Iterable[Transform]) -> dict[str, tuple[float, ...] | str]:
+Declared = Mapping[str, tuple[float, ...] | Permutation | str]  # of ``mirrors_of``
+
+
+def mirrors_of(transforms: Iterable[Transform]) -> dict[str, tuple[float, ...] | Permutation | str]:
     """What transforms declare of how the quantities that they write are mirrored.
 
     The hook for a transform with quantities of its own kind; it has, on its class or itself,
 
     - ``mirror_signs``: by key, the factor on each component under a reflection at the plane of
-      symmetry, whose normal is y: ``{"wind": (1.0, -1.0, 1.0)}`` for a vector; or
+      symmetry, whose normal is y: ``{"wind": (1.0, -1.0, 1.0)}`` for a vector; a ``Permutation``
+      if components also change places; or
     - ``mirror_like``: by key, another quantity with the same components that mirrors in the same
       way: ``{"contact_force_max": "contact_force_peak"}``.
 
@@ -62,7 +82,7 @@ def mirrors_of(transforms: Iterable[Transform]) -> dict[str, tuple[float, ...] |
     Returns:
         By key, the signs, or the name of the other quantity.
     """
-    declared: dict[str, tuple[float, ...] | str] = {}
+    declared: dict[str, tuple[float, ...] | Permutation | str] = {}
     for transform in transforms:
         declared |= getattr(transform, "mirror_signs", {})
         declared |= getattr(transform, "mirror_like", {})
@@ -131,13 +151,16 @@ def mirror_quantity(robot: Robot, name: str, declared: Declared | None = None) -
         own = known[name]
         if isinstance(own, str):
             return mirror_quantity(robot, own, {k: v for k, v in known.items() if k != name})
-        return range(len(own)), own
+        return own if isinstance(own, Permutation) else Permutation(range(len(own)), own)
     if name in _SIGNS:
-        return range(len(_SIGNS[name])), _SIGNS[name]
+        return Permutation(range(len(_SIGNS[name])), _SIGNS[name])
     if name in _FOOT_SIGNS:
         return _swapped(range(len(_FOOT_SIGNS[name])), _FOOT_SIGNS[name])
     special: dict[str, Callable[[], Permutation]] = {
-        **dict.fromkeys(_JOINTS, lambda: (robot.mirror_index, robot.mirror_sign)),
+        **dict.fromkeys(_JOINTS, lambda: Permutation(robot.mirror_index, robot.mirror_sign)),
+        **dict.fromkeys(
+            _OF_JOINTS, lambda: Permutation(robot.mirror_index, [1.0] * len(robot.joints))
+        ),
         "feet_corner_force": lambda: _corners(robot),
         **dict.fromkeys(_OF_REGIONS, lambda: _regions(robot)),
     }
@@ -171,7 +194,7 @@ def mirror_action(robot: Robot, size: int) -> Mirror:
 
 def _swapped(within: Sequence[int], signs: Sequence[float]) -> Permutation:
     """Two feet that change places, their components permuted ``within`` each."""
-    return [*(len(within) + i for i in within), *within], [*signs, *signs]
+    return Permutation([*(len(within) + i for i in within), *within], [*signs, *signs])
 
 
 def _corners(robot: Robot) -> Permutation:
@@ -180,7 +203,8 @@ def _corners(robot: Robot) -> Permutation:
 
 
 def _regions(robot: Robot) -> Permutation:
-    return [robot.regions.index(_other_side(r)) for r in robot.regions], [1.0] * len(robot.regions)
+    index = [robot.regions.index(_other_side(region)) for region in robot.regions]
+    return Permutation(index, [1.0] * len(index))
 
 
 def _other_side(name: str) -> str:

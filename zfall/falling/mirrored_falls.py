@@ -9,7 +9,8 @@ from torchrl.data import Binary, Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.mirror import mirror_vector, mirrors_of
+from zfall.envs.mirror import Permutation, mirror_vector, mirrors_of
+from zfall.envs.param_mirrors import param_mirrors
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations import (
     CAPSNeighbours,
@@ -54,10 +55,10 @@ class MirroredFalls(Transform):
     def __init__(self, env: HumanoidEnv):
         super().__init__(in_keys=["mode"], out_keys=["fall_mirrored"])
         needs_env(self, env, "a memory of each world")
-        self.robot, self.joint_range = env.robot, env.joint_range
+        self.env, self.robot, self.joint_range = env, env.robot, env.joint_range
         self.vectors: dict[str, ObservationVector | NormalizedVector] = {}
         self.images: dict[str, Mirror] = {}
-        self.declared: dict[str, tuple[float, ...] | str] = {}
+        self.declared: dict[str, tuple[float, ...] | Permutation | str] = {}
 
     def attach(self, transforms: Mapping[str, Transform]) -> None:
         """Finds the vectors of the table, and checks its order."""
@@ -108,9 +109,8 @@ class MirroredFalls(Transform):
             spans = vector_spans(observation_spec, vector.keys)
             affine = getattr(vector, "affine", None)
             (key,) = vector.out_keys
-            self.images[key] = mirror_vector(
-                self.robot, spans, self.joint_range, affine, self.declared
-            )
+            declared = param_mirrors(self.env, spans) | self.declared
+            self.images[key] = mirror_vector(self.robot, spans, self.joint_range, affine, declared)
         shape = (*observation_spec.shape, 1)
         observation_spec["fall_mirrored"] = Binary(shape=shape, dtype=torch.bool)
         return observation_spec

@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
 
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector, mirrors_of
+from zfall.envs.param_mirrors import param_mirrors
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.fingerprints import weights_digest
 from zfall.policies.load import read_teacher
@@ -55,7 +56,7 @@ class TaskFacts:
                 f"a mirrored {key} must be one vector of quantities, got {size} values."
             )
         affine = getattr(vector, "affine", None)
-        declared = mirrors_of(self.env.transform)
+        declared = param_mirrors(base, spans) | mirrors_of(self.env.transform)
         return mirror_vector(base.robot, spans, base.joint_range, affine, declared)
 
     def policy(self, run: object) -> torch.nn.Module:
