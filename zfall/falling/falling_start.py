@@ -170,6 +170,7 @@ class FallingStart(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         if self.pushed:
             observation_spec["falling_impulse"] = Unbounded((*observation_spec.shape, 3))
             observation_spec["falling_speed"] = Unbounded((*observation_spec.shape, 1))

@@ -97,6 +97,7 @@ class MirroredFalls(Transform):
         return tensordict.set("fall_mirrored", mirrored)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         if "mode" not in observation_spec.keys():
             raise ValueError("MirroredFalls needs the key mode: put a ModeMachine before it.")
         for name, vector in self.vectors.items():

@@ -6,10 +6,12 @@ that it is part of. In a replay buffer, in a model or around a batch of envs it 
 line. All others work on data of any batch size, too: their ``forward`` is ``on_data``.
 """
 
+from collections.abc import Iterable
 from typing import Any, NoReturn
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
+from torchrl.data import Composite
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
@@ -59,6 +61,21 @@ def base_env_of(transform: Transform) -> HumanoidEnv:
     return base
 
 
+def check_recorded(transform: Transform, spec: Composite, keys: Iterable[NestedKey]) -> None:
+    """Refuses a transform in an env that does not record ``keys`` at every physics step.
+
+    Its constructor has made another env do so.
+    """
+    base_env_of(transform)
+    missing = [key for key in keys if ("substeps", key) not in spec.keys(True)]
+    if missing:
+        raise ValueError(
+            f"{type(transform).__name__} must be built with the env that it is part of, for "
+            f"{_needs(transform)}; got one that does not record {missing[0]}: call its "
+            f"record_substeps before transforms are put around it."
+        )
+
+
 def generator_of(transform: Transform) -> torch.Generator | None:
     """Of its env, if a transform was built with one; else ``None``, for torch's global one."""
     return base_env_of(transform).rng if "_built_with" in transform.__dict__ else None
@@ -71,10 +88,9 @@ def on_data(transform: Transform, tensordict: TensorDictBase) -> TensorDictBase:
 
 def _refuse_data(transform: Any, args: object = None) -> NoReturn:
     name = type(transform).__name__
-    needs = getattr(transform, "_needs", "its physics")
     raise ValueError(
-        f"{name} must be part of an env, for {needs}, which a replay buffer, a model or a Compose "
-        f"alone does not have; got none. Put it into the table of make_env, or "
+        f"{name} must be part of an env, for {_needs(transform)}, which a replay buffer, a model "
+        f"or a Compose alone does not have; got none. Put it into the table of make_env, or "
         f"TransformedEnv(base_env, {name}(base_env, ...))."
     )
 
@@ -85,13 +101,17 @@ def _below(transform: Transform, env: EnvBase) -> HumanoidEnv:
         env = env.base_env
     if not isinstance(env, HumanoidEnv):
         name = type(transform).__name__
-        needs = getattr(transform, "_needs", "its physics")
         raise ValueError(
-            f"{name} must stand in an env around a HumanoidEnv, for {needs}, got "
+            f"{name} must stand in an env around a HumanoidEnv, for {_needs(transform)}, got "
             f"{type(env).__name__}. Put it inside: SerialEnv(2, lambda: TransformedEnv(base_env, "
             f"{name}(base_env, ...)))."
         )
     return env
+
+
+def _needs(transform: Transform) -> str:
+    """What it said in its constructor."""
+    return str(getattr(transform, "_needs", "its physics"))
 
 
 def _kind(env: HumanoidEnv) -> tuple[int, float, float, tuple[str, ...]]:

@@ -102,5 +102,6 @@ class Command(Transform):
             self.rest = torch.where(rows, between(self.interval, u[-1].double()), self.rest)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["command"] = Unbounded(self.command.shape)
         return observation_spec

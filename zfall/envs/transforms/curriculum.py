@@ -162,6 +162,7 @@ class Curriculum(Transform):
         return tensordict_reset.set("curriculum_level", self.level[:, None].clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["curriculum_level"] = Unbounded((len(self.level), 1))
         return observation_spec
 

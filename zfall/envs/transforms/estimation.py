@@ -16,7 +16,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.values import reset_rows
 from zfall.rotations import roll_and_pitch
@@ -151,6 +151,7 @@ class TiltKalmanFilter(Transform):
         return self._write(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         for key in self.out_keys:
             _check_not_measured(observation_spec, "TiltKalmanFilter", key)
             observation_spec[key] = Unbounded(self.rate.shape)
@@ -215,6 +216,7 @@ class JointVelocityKalmanFilter(Transform):
         return tensordict_reset.set(("measured", "joint_velocity"), self.state[..., 1].clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         return _declare_velocity(observation_spec, "JointVelocityKalmanFilter")
 
 
@@ -263,6 +265,7 @@ class NumericalVelocity(Transform):
         return tensordict_reset.set(("measured", "joint_velocity"), velocity)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         return _declare_velocity(observation_spec, "NumericalVelocity")
 
 

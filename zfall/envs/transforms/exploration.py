@@ -59,5 +59,6 @@ class CorrelatedNoise(Transform):
         return tensordict_reset.set("exploration_noise", self.noise)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["exploration_noise"] = Unbounded(self.noise.shape)
         return observation_spec

@@ -76,6 +76,7 @@ class DomainRandomization(Transform):
         return self._write(tensordict_reset)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        base_env_of(self)
         if self.interval is not None:
             # Drawn for all rows in every step, so that the stream does not depend on who fell.
             self._draw(self.clock > self.interval - 0.5 * self.control_dt)
@@ -104,6 +105,7 @@ class DomainRandomization(Transform):
             self.clock = torch.where(rows, 0.0, self.clock)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         for name in self.params:
             observation_spec["params", name] = self.spec[name].clone()
         return observation_spec
@@ -259,6 +261,7 @@ class ImuMisalignment(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         for key in self.in_keys:
             if observation_spec[key].shape[1:] != (3,):
                 raise ValueError(f"keys must name vectors of 3, got {key}.")

@@ -77,6 +77,7 @@ class WeightedReward(Transform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         for name in self.terms:
             observation_spec["reward_terms", name] = Unbounded((*observation_spec.shape, 1))
         return observation_spec

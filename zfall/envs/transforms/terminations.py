@@ -71,6 +71,7 @@ class Terminations(Transform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         shape = (*observation_spec.shape, 1)
         for name in self.conditions:
             observation_spec["terminations", name] = Binary(1, shape=shape, dtype=bool_)

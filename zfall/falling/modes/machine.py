@@ -13,7 +13,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.falls import body_contact
-from zfall.envs.transforms.base_env import needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import tilt
@@ -192,6 +192,7 @@ class ModeMachine(Transform):
         return tensordict_reset.set("mode", one_hot(mode))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         if self.probability is not None and "fall_probability" not in observation_spec.keys():
             raise ValueError(
                 "probability must be null without a FallPredictor earlier in the table, "

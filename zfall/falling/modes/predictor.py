@@ -10,7 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import reset_rows
 
@@ -68,5 +68,6 @@ class FallPredictor(Transform):
         return tensordict_reset.set("fall_probability", torch.zeros(len(rows), 1))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["fall_probability"] = Unbounded((*observation_spec.shape, 1))
         return observation_spec

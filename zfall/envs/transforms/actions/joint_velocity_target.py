@@ -135,5 +135,6 @@ class JointVelocityTarget(Transform):
         return replace_control(input_spec, -one, one)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["target"] = Unbounded(self.position.shape)
         return observation_spec

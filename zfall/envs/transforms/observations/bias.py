@@ -81,6 +81,7 @@ class ObservationBias(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         declare_measured(observation_spec, "std", self.std)
         declare_measured(observation_spec, "uniform", self.uniform)
         return observation_spec
@@ -135,5 +136,6 @@ class ObservationRandomWalk(Transform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         declare_measured(observation_spec, "rate", self.rate)
         return observation_spec

@@ -7,7 +7,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, check_recorded, needs_env
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.observations.measured import declare_measured, measured_key
 from zfall.envs.transforms.values import reset_rows
@@ -99,6 +99,7 @@ class ObservationDelay(Transform):
         return self._deliver(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        check_recorded(self, observation_spec, self.keys)
         for key in self.keys:
             if measured_key(key) in observation_spec.keys(True):
                 raise ValueError(

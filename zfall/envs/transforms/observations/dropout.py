@@ -66,5 +66,6 @@ class ObservationDropout(Transform):
         return self._deliver(tensordict_reset, reset_rows(tensordict, self))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         declare_measured(observation_spec, "keys", self.keys)
         return observation_spec

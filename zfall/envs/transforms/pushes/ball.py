@@ -83,6 +83,7 @@ class ThrownBall(Transform):
         self.register_buffer("count", torch.zeros(num, dtype=torch.long))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        base_env_of(self)
         due = self.start < self.control_dt - 1e-9
         side, speed, aim = self.plan[:, :3], self.plan[:, 3:4], self.plan[:, 4]
         target = tensordict["com_position"].clone()

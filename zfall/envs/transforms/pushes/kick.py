@@ -75,6 +75,7 @@ class VelocityKick(Transform):
         self.register_buffer("count", torch.zeros(num, dtype=torch.long))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        base_env_of(self)
         due = self.start < self.control_dt - 1e-9
         kick = torch.where(due[:, None], self.kick, 0.0)
         there = tensordict.get(("push", "kick"), None)
@@ -104,5 +105,6 @@ class VelocityKick(Transform):
         self.kick.numpy()[index] = speed[:, None] * heading(self.direction, u[2:])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["push", "velocity_kick"] = Unbounded(self.kick.shape)
         return observation_spec

@@ -188,5 +188,6 @@ class RandomPush(Transform):
         return strength[:, None] * heading(self.direction, u[1:3])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         self.forces.specify(observation_spec)
         return observation_spec

@@ -106,5 +106,6 @@ class ScriptedPush(Transform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         self.forces.specify(observation_spec)
         return observation_spec

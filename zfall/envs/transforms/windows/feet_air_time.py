@@ -7,7 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 
 
@@ -45,5 +45,6 @@ class FeetAirTime(Transform):
         return tensordict_reset.set("feet_air_time", self.time.clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec["feet_air_time"] = Unbounded(self.time.shape)
         return observation_spec

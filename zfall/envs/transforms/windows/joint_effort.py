@@ -5,7 +5,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, check_recorded, needs_env
 
 
 class JointEffort(Transform):
@@ -41,5 +41,6 @@ class JointEffort(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        check_recorded(self, observation_spec, ["joint_torque"])
         observation_spec["joint_effort"] = Unbounded((*observation_spec.shape, 1))
         return observation_spec

@@ -7,7 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, check_recorded, needs_env
 
 
 class JointStopSpeed(Transform):
@@ -53,5 +53,6 @@ class JointStopSpeed(Transform):
         return tensordict_reset.set(self.out_keys[0], speed)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        check_recorded(self, observation_spec, ["joint_position", "joint_velocity"])
         observation_spec[self.out_keys[0]] = Unbounded((*observation_spec.shape, 1))
         return observation_spec

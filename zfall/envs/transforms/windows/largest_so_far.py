@@ -8,7 +8,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 
 
@@ -65,6 +65,7 @@ class LargestSoFar(Transform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         for name in self.out_keys:
             observation_spec[name] = Unbounded(getattr(self, name).shape)
         return observation_spec

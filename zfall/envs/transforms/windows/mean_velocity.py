@@ -55,6 +55,7 @@ class MeanVelocity(Transform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         for key in self.out_keys:
             observation_spec[key] = Unbounded((*observation_spec.shape, 3))
         return observation_spec

@@ -7,7 +7,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
 from zfall.rotations import heading, wrap
@@ -70,6 +70,7 @@ class OdometryDisplacement(Transform):
         return tensordict_reset.set(self.out_keys[0], torch.zeros_like(pose))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        base_env_of(self)
         observation_spec[self.out_keys[0]] = Unbounded(self.begin.shape)
         return observation_spec
 
