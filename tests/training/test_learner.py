@@ -311,13 +311,6 @@ def test_divergence_counts_what_was_drawn(compose_config, monkeypatch):
     assert known[1] > 1e-6
 
 
-def test_a_scheduler_that_follows_something_else_is_refused(compose_config):
-    """It would be driven with the divergence for its clock."""
-    linear = "{_target_:torch.optim.lr_scheduler.LinearLR,total_iters:400}"
-    with pytest.raises(ValueError, match=r"scheduler must follow the KL divergence.*LinearLR"):
-        Learner(compose_config("num_envs=4", "~scheduler", f"+scheduler={linear}"))
-
-
 def test_burnt_in_sequences_are_what_is_learned_from(compose_config, monkeypatch):
     """After the augmentation, and before all losses."""
     learner = Learner(
@@ -609,27 +602,6 @@ def test_the_order_of_sequences_changes_nothing(compose_config):
         found.append([out["loss_objective"], *(p.grad.clone() for p in learner.parameters)])
     assert found[0][1].abs().max() > 1e-3
     assert_close(found[0], found[1], rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize(("target", "factor"), [(1e-6, 1 / 1.5), (1e6, 1.5)])
-def test_the_learning_rate_follows_the_divergence(compose_config, target, factor):
-    """One step down where an update moves the policy by more than twice the target, or up."""
-    sizes = ("num_envs=8", "rollout_steps=8")
-    learner = Learner(compose_config(*sizes, f"scheduler.target_kl={target}"))
-    rate = learner.optimizer.param_groups[0]["lr"]
-    for update in (1, 2):
-        learner.learn(learner.collect())
-        assert learner.optimizer.param_groups[0]["lr"] == pytest.approx(rate * factor**update)
-
-
-def test_another_optimizer_than_adam(compose_config):
-    """NAdam knows nothing of ``fused``, which is there for Adam; SGD does."""
-    names = {"torch.optim.NAdam": None, "torch.optim.SGD": True}
-    for name, fused in names.items():
-        learner = Learner(compose_config("num_envs=4", f"optimizer._target_={name}"))
-        learner.learn(learner.collect())
-        assert f"torch.optim.{type(learner.optimizer).__name__}" == name
-        assert learner.optimizer.defaults.get("fused") is fused
 
 
 class LossOfItsOwn(LossModule):

@@ -1,10 +1,8 @@
 """Everything that one training is made of, built from its config before it begins."""
 
-import inspect
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import NestedKey
@@ -103,32 +101,6 @@ def build_advantage(cfg: DictConfig, critic: Any) -> GAE:
     if recurrent_keys(critic):
         return RecurrentGAE(critic, **values)
     return GAE(**values, value_network=critic, deactivate_vmap=True)
-
-
-def build_optimizer(
-    cfg: DictConfig, parameters: list[torch.nn.Parameter]
-) -> tuple[torch.optim.Optimizer, Any]:
-    """The optimizer, and the scheduler of its learning rate or ``None``.
-
-    Raises:
-        ValueError: on a scheduler that does not follow the divergence.
-    """
-    kind, values = instantiate(cfg.optimizer, _partial_=True).func, dict(cfg.optimizer)
-    known = inspect.signature(kind).parameters.values()
-    if not any(value.name == "fused" or value.kind is value.VAR_KEYWORD for value in known):
-        values.pop("fused", None)  # Adam's, from train.yaml: another has taken its place
-    optimizer = instantiate(values, parameters)
-    scheduler = instantiate(cfg.scheduler, optimizer) if cfg.scheduler else None
-    if scheduler and not (
-        "kl" in inspect.signature(scheduler.step).parameters
-        and hasattr(scheduler, "load_state_dict")
-    ):
-        raise ValueError(
-            "scheduler must follow the KL divergence, torchrl.objectives.KLAdaptiveLR or one "
-            "with step(kl), state_dict and load_state_dict, or be null; "
-            f"got {cfg.scheduler._target_}."
-        )
-    return optimizer, scheduler
 
 
 def learned_keys(losses: Losses, hidden: list[str]) -> list[NestedKey]:

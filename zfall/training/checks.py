@@ -132,10 +132,8 @@ def check_ranges(cfg: DictConfig) -> None:
     if "lr" in cfg.optimizer:
         check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "be a number, at least 0")
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))
-        for key, bound in (("min_lr", low), ("max_lr", high)):
-            if bound is not None:
-                check_number(bound, f"scheduler.{key}", lambda x: x >= 0, "be a number, at least 0")
-        if None not in (low, high) and not low <= cfg.optimizer.lr <= high:
+        both = all(isinstance(bound, int | float) for bound in (low, high))
+        if both and not low <= cfg.optimizer.lr <= high:
             raise ValueError(
                 f"optimizer.lr must lie within scheduler.min_lr {low} and scheduler.max_lr {high}, "
                 f"which would replace it, got {cfg.optimizer.lr}; scheduler=null keeps it fixed."

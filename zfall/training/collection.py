@@ -1,4 +1,4 @@
-"""The worlds of a training, in groups that take turns."""
+"""The worlds of a training, in groups that alternate."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,7 +14,7 @@ from zfall.envs.env_state import env_state, load_env_state
 from zfall.modules.memory import memory_primer
 from zfall.simulation.turns import in_turns, physics_first
 
-PAYS_FROM = 256  # worlds in all: with fewer, two calls take longer than the physics beside them
+PAYS_FROM = 256  # worlds in all: with fewer, two calls take longer than the physics between them
 
 
 def group_sizes(num_envs: int, groups: int | None) -> list[int]:
@@ -33,15 +33,15 @@ def group_sizes(num_envs: int, groups: int | None) -> list[int]:
 
 
 class Worlds:
-    """Envs of the same task that are stepped in turns, see ``zfall.simulation.turns.in_turns``.
+    """Envs of the same task that are stepped alternately, see ``zfall.simulation.turns.in_turns``.
 
     Rows of what it returns are those of the first env, then those of the second, and so on.
 
     Args:
         env_cfg: config of the env.
         num_envs: worlds N in all.
-        groups: envs that they are spread over; ``None``: two where that pays, else one, as for an
-            env without a ``base_env`` that it could tell how many it has.
+        groups: envs that they are spread over; ``None``: two from 256 worlds on, else one. An env
+            without a ``base_env`` is one group.
 
     Attributes:
         carriers: what the worlds of each env are in, before the coming step; after ``begin``.

@@ -31,6 +31,7 @@ from zfall.training.minibatches import (
     means_of,
     rows_of,
 )
+from zfall.training.optimizers import build_optimizer, follow
 
 EXPLORING = 16  # worlds whose exploration is looked at
 
@@ -69,7 +70,7 @@ class Learner:
         self._acting = build.acting_policy(self.actor, along, spec)
         self.advantage = build.build_advantage(cfg, self.critic)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
-        self.optimizer, self.scheduler = build.build_optimizer(cfg, self.parameters)
+        self.optimizer, self.scheduler = build_optimizer(cfg, self.parameters)
         # A mode is searched for, by the losses that need it and for their share alone.
         self._one_pass = self.actor[-1].distribution_kwargs.get("statistic", "mean") == "mean"
         self._learned = build.learned_keys(self.losses, hidden)
@@ -126,9 +127,8 @@ class Learner:
             divergence = divergence_of(outputs, drawn)
             if self.cfg.loss.kl_stop is not None and divergence > self.cfg.loss.kl_stop:
                 break
-        steps = self.cfg.epochs * self.cfg.minibatches
-        if any(drawn) and steps > 1:  # before the only step it is 0
-            self._adapt(divergence)
+        known = any(drawn) and self.cfg.epochs * self.cfg.minibatches > 1  # 0 before the only step
+        self._adapt(batch, divergence if known else None)
         self._see(batch)
         self._average.update_parameters(self.actor)
         self.updates += 1
@@ -217,11 +217,11 @@ class Learner:
         self.optimizer.zero_grad()
         return figures
 
-    def _adapt(self, divergence: float) -> None:
-        """Learning rate and weight of the penalty follow the divergence of an update."""
-        if self.scheduler is not None:
-            self.scheduler.step(max(divergence, 1e-6))  # 0 would leave it where nothing moves
-        self.losses.ppo.adapt(divergence)
+    def _adapt(self, batch: TensorDictBase, divergence: float | None) -> None:
+        """Learning rate and weight of the penalty follow an update, if its divergence is known."""
+        if divergence is not None:
+            self.losses.ppo.adapt(divergence)
+        follow(self.scheduler, batch["next", "reward"].mean().item(), divergence)
 
     def _see(self, batch: TensorDictBase) -> None:
         """Takes the batch into the statistics of the observations, once it is learned from."""
@@ -232,11 +232,9 @@ class Learner:
             of_critic.update(batch["observation_critic"])
 
     def _buffers(self) -> dict[str, Tensor]:
-        auxiliary = {
-            place.removeprefix("auxiliary_losses."): loss
-            for place, loss in self.losses.auxiliary.items()
-        }
-        modules = {"loss": self.losses.ppo, "augmentation": self.losses.augmentation, **auxiliary}
+        modules = {"loss": self.losses.ppo, "augmentation": self.losses.augmentation}
+        for place, loss in self.losses.auxiliary.items():
+            modules[place.removeprefix("auxiliary_losses.")] = loss
         return buffers_of(modules, (self.actor, self.critic))
 
     def state_dict(self) -> dict[str, Any]:

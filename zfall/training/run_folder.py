@@ -15,6 +15,7 @@ from zfall import checkpoint
 from zfall.commands import remove_if_empty
 from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
+from zfall.training.optimizers import learning_rates
 from zfall.training.rows import append_row, keep_rows
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
@@ -140,7 +141,7 @@ class RunFolder:
         self.note(metrics)
         row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
         row |= {key: losses.pop(key) for key in ("kl", "passes")}
-        row["learning_rate"] = learner.optimizer.param_groups[0]["lr"]
+        row |= learning_rates(learner.optimizer)
         row |= {f"loss/{k.removeprefix('loss_')}": v for k, v in losses.items()}
         began, collected, ended = times
         timing = {
