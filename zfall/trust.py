@@ -25,9 +25,9 @@ from zfall.moved import with_new_paths
 
 _OPTIMIZERS = ("Adadelta", "Adafactor", "Adagrad", "Adam", "AdamW", "Adamax", "ASGD", "LBFGS",
                "Muon", "NAdam", "RAdam", "RMSprop", "Rprop", "SGD")  # fmt: skip
-_SCHEDULERS = ("ConstantLR", "CosineAnnealingLR", "CosineAnnealingWarmRestarts", "ExponentialLR",
-               "LinearLR", "MultiStepLR", "OneCycleLR", "PolynomialLR", "ReduceLROnPlateau",
-               "StepLR")  # fmt: skip
+_SCHEDULERS = ("ConstantLR", "CosineAnnealingLR", "CosineAnnealingWarmRestarts", "CyclicLR",
+               "ExponentialLR", "LambdaLR", "LinearLR", "MultiStepLR", "MultiplicativeLR",
+               "OneCycleLR", "PolynomialLR", "ReduceLROnPlateau", "StepLR")  # fmt: skip
 _TRANSFORMS = ("CatFrames", "DoubleToFloat", "InitTracker", "RewardClipping", "RewardScaling",
                "RewardSum", "StepCounter")  # fmt: skip
 
@@ -49,6 +49,7 @@ ALLOWED = (
     "zfall.losses",
     "zfall.modules",
     "zfall.robots",
+    "zfall.training.optimizers.MuonAndAdam",
     "torchrl.objectives.KLAdaptiveLR",
     *(f"torch.optim.{name}" for name in _OPTIMIZERS),
     *(f"torch.optim.lr_scheduler.{name}" for name in _SCHEDULERS),
