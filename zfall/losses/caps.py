@@ -45,7 +45,8 @@ class CAPSLoss(LossModule):
 
     Args:
         actor_network: the policy.
-        spans: where each quantity lies in the observation, by name; for a ``sigma`` by name.
+        spans: where each quantity lies in the observation, by name, as slices or places; for a
+            ``sigma`` by name.
         temporal_coeff, spatial_coeff: weights.
         sigma: standard deviation of the spatial change, in standard deviations of the observation
             (those of the policy's normaliser, or 1); or of each quantity by its name, which
@@ -72,7 +73,7 @@ class CAPSLoss(LossModule):
     def __init__(
         self,
         actor_network: ProbabilisticActor,
-        spans: Mapping[str, slice] | None = None,
+        spans: Mapping[str, slice | Tensor] | None = None,
         *,
         temporal_coeff: float = 0.1,
         spatial_coeff: float = 0.1,
@@ -178,7 +179,7 @@ class CAPSLoss(LossModule):
         return observation + (noise if self.normalizer is None else noise * self.normalizer.scale)
 
 
-def _spread(sigma: float | Mapping[str, float], spans: Mapping[str, slice]) -> Tensor:
+def _spread(sigma: float | Mapping[str, float], spans: Mapping[str, slice | Tensor]) -> Tensor:
     """Standard deviation of each component of the observation ``(D,)``, or one for all ``()``."""
     if not isinstance(sigma, Mapping):
         return torch.tensor(float(sigma))
@@ -187,7 +188,8 @@ def _spread(sigma: float | Mapping[str, float], spans: Mapping[str, slice]) -> T
         raise ValueError(
             f"sigma must name quantities of the observation ({', '.join(spans)}), got {unknown[0]}."
         )
-    spread = torch.zeros(max(span.stop for span in spans.values()))
+    ends = [x.stop if isinstance(x, slice) else int(x.max()) + 1 for x in spans.values()]
+    spread = torch.zeros(max(ends))
     for name, value in sigma.items():
         spread[spans[name]] = value
     return spread

@@ -36,6 +36,13 @@ class Mirror(nn.Module):
         self.register_buffer("low", low)
         self.register_buffer("high", high)
 
+    def stacked(self, times: int) -> "Mirror":
+        """The mirror of so many vectors one behind the other ``(times * D,)``."""
+        size, bounds = len(self.index), (self.low, self.high)
+        index = torch.cat([self.index + number * size for number in range(times)])
+        low, high = (None if bound is None else bound.repeat(times) for bound in bounds)
+        return Mirror(index, self.factor.repeat(times), self.summand.repeat(times), low, high)
+
     def forward(self, vector: Tensor) -> Tensor:
         """The vector ``(*B, D)`` of the robot in the mirror."""
         image = vector.index_select(-1, self.index) * self.factor + self.summand

@@ -5,7 +5,9 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from torchrl.envs import TransformedEnv
+from tensordict import NestedKey
+from torch import Tensor
+from torchrl.envs import CatFrames, TransformedEnv
 
 from zfall.envs.mirror import Mirror, mirror_action, mirror_vector, mirrors_of
 from zfall.envs.param_mirrors import param_mirrors
@@ -36,12 +38,19 @@ class TaskFacts:
         """The same for a loss at another place of the config."""
         return replace(self, place=place)
 
-    def spans(self, key: str = "observation") -> dict[str, slice]:
-        """Where each quantity lies in an observation, by name; empty if it is no known vector."""
-        return self._vector(key)[0]
+    def spans(self, key: str = "observation") -> dict[str, slice | Tensor]:
+        """Where each quantity lies in an observation, by name; empty if it is no known vector.
 
-    def mirror(self, key: str) -> Mirror:
-        """The reflection of an observation, or of the action.
+        Slices; of a stack of vectors, as ``CatFrames`` makes it, the places in all of them.
+        """
+        spans, _, frames = self._vector(key)
+        if frames == 1:
+            return dict(spans)
+        places = torch.arange(self.env.observation_spec[key].shape[-1]).unflatten(0, (frames, -1))
+        return {name: places[:, span].flatten() for name, span in spans.items()}
+
+    def mirror(self, key: NestedKey) -> Mirror:
+        """The reflection of the action, of an observation, or of a quantity by itself.
 
         Raises:
             ValueError: if a quantity in it has no known mirror image.
@@ -49,15 +58,20 @@ class TaskFacts:
         base = self.env.base_env
         if key == "action":
             return mirror_action(base.robot, self.env.action_spec.shape[-1])
-        spans, vector = self._vector(key)
         size = self.env.observation_spec[key].shape[-1]
-        if max((span.stop for span in spans.values()), default=0) != size:
-            raise ValueError(
-                f"a mirrored {key} must be one vector of quantities, got {size} values."
-            )
+        spans, vector, frames = self._vector(key)
+        if not spans:
+            writers = [t for t in self.env.transform if key in (t.out_keys or ())]
+            if any(hasattr(transform, "keys") for transform in writers):
+                raise ValueError(
+                    f"a mirrored {key} must be one vector of quantities, or a stack of them by "
+                    f"CatFrames along its last axis, got what {type(writers[-1]).__name__} writes."
+                )
+            spans = {key if isinstance(key, str) else "/".join(key): slice(0, size)}
         affine = getattr(vector, "affine", None)
         declared = param_mirrors(base, spans) | mirrors_of(self.env.transform)
-        return mirror_vector(base.robot, spans, base.joint_range, affine, declared)
+        image = mirror_vector(base.robot, spans, base.joint_range, affine, declared)
+        return image if frames == 1 else image.stacked(frames)
 
     def policy(self, run: object) -> torch.nn.Module:
         """A trained policy that sees and does the same, to learn from.
@@ -69,9 +83,22 @@ class TaskFacts:
         self.teachers[self.place] = weights_digest(policy)
         return policy
 
-    def _vector(self, key: str) -> tuple[dict[str, slice], Any]:
-        """Where quantities lie in an observation, and the transform that lines them up."""
-        vectors = [t for t in self.env.transform if t.out_keys == [key] and hasattr(t, "keys")]
-        if not vectors:
-            return {}, None
-        return vector_spans(self.env.observation_spec, vectors[-1].keys), vectors[-1]
+    def _vector(self, key: NestedKey) -> tuple[dict[str, slice], Any, int]:
+        """Where quantities lie in an observation, what lines them up, and how often.
+
+        Nothing if they are lined up by a transform that is not known, or changed by one.
+        """
+        frames, whole = 1, self.env.observation_spec[key].shape[-1]
+        for transform in reversed(list(self.env.transform)):
+            if key not in (transform.out_keys or ()):
+                continue
+            if isinstance(transform, CatFrames) and transform.dim == -1:
+                frames *= transform.N
+                key = transform.in_keys[transform.out_keys.index(key)]
+            elif transform.out_keys == [key] and hasattr(transform, "keys"):
+                spans = vector_spans(self.env.observation_spec, transform.keys)
+                size = max(span.stop for span in spans.values())
+                return (spans, transform, frames) if frames * size == whole else ({}, None, 1)
+            else:
+                break
+        return {}, None, 1
