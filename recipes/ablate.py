@@ -18,7 +18,7 @@ from zfall.studies.store import Store
 
 from .shell import one_line_errors, start
 
-KEYS = {"study", "results", "runs", "rebuild", "launcher", "jobs"}
+KEYS = {"study", "results", "runs", "rebuild", "force", "launcher", "jobs"}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="ablate")
@@ -27,17 +27,17 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         study = checked(cfg)
         plan = study.plan
-    results, runs = Path(cfg.results), Path(cfg.runs)
-    if cfg.jobs is not None:  # in a launcher's process
-        execute(study, plan[int(cfg.jobs)], Store(results, runs))
-        return
-    submit = None
-    if cfg.launcher != "basic":
-        log = runs / f"{study.name}.log"
-        submit = partial(sweep, module=f"{__package__}.ablate", launcher=cfg.launcher, log=log)
-    study.run(results=results, runs=runs, rebuild=cfg.rebuild, submit=submit)
-    print((results / f"{study.name}.md").read_text())
-    print(f"wrote {results}/{study.name}.md, .csv, .tex, .png, .pdf")
+        results, runs = Path(cfg.results), Path(cfg.runs)
+        if cfg.jobs is not None:  # in a launcher's process
+            execute(study, plan[int(cfg.jobs)], Store(results, runs))
+            return
+        submit = None
+        if cfg.launcher != "basic":
+            log = runs / f"{study.name}.log"
+            submit = partial(sweep, module=f"{__package__}.ablate", launcher=cfg.launcher, log=log)
+        how = {"rebuild": cfg.rebuild, "force": cfg.force, "submit": submit}
+        study.run(results=results, runs=runs, **how)
+        print((results / f"{study.name}.md").read_text())
 
 
 def checked(cfg: DictConfig) -> Study:
@@ -47,7 +47,7 @@ def checked(cfg: DictConfig) -> Study:
         ValueError: on a bad value, naming the key.
     """
     check_keys(cfg, KEYS)
-    check_flags(cfg, ["rebuild"])
+    check_flags(cfg, ["rebuild", "force"])
     for key in ("results", "runs"):
         if not isinstance(cfg[key], str):
             raise ValueError(f"{key} must be the name of a folder, got {cfg[key]}.")

@@ -80,6 +80,41 @@ def load(path: Path, kinds: Kinds = POLICY) -> dict[str, Any]:
         ValueError: if the file does not exist, is no checkpoint, is of another format, lacks a key
             or is damaged, or if its config names what ``zfall.trust`` does not allow.
     """
+    content = _read(path)
+    for key, kind in kinds.items():
+        if key not in content:
+            raise ValueError(f"{path} must hold {key}, it lacks it: {_REPAIR}")
+        if not isinstance(content[key], kind) or isinstance(content[key], bool):
+            got = type(content[key]).__name__
+            raise ValueError(f"{path}: {key} must be a {_KINDS[kind]}, got {got}: {_REPAIR}")
+    if "config" in content:  # whoever builds it builds what is checked here
+        config = config_of_file(content["config"], path)
+        for key in ("env", "actor") if "config" in kinds else ():
+            if not isinstance(config.get(key), Mapping):
+                raise ValueError(f"{path}: {key} of its config must be a table, there is none.")
+        content["config"] = OmegaConf.to_yaml(config)
+    return content
+
+
+def tensors_of(path: Path) -> dict[str, Tensor]:
+    """The tensors of a checkpoint by their keys, or only those of its ``policy`` if it has one.
+
+    Raises:
+        ValueError: as ``load`` does, but for what its config names.
+    """
+    content = _read(path)
+    return dict(_tensors(content.get("policy", content)))
+
+
+def _tensors(value: Any, key: str = "") -> Iterator[tuple[str, Tensor]]:
+    if isinstance(value, Tensor):
+        yield key, value
+    elif isinstance(value, Mapping):
+        for name, each in value.items():
+            yield from _tensors(each, f"{key}.{name}")
+
+
+def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ValueError(f"{path} must be a checkpoint, there is no such file.")
     _check_file(path)
@@ -97,19 +132,7 @@ def load(path: Path, kinds: Kinds = POLICY) -> dict[str, Any]:
         )
     if content.pop("digest", counted) != counted:  # not there in files of earlier versions
         raise ValueError(f"{path} must be as it was written, it is damaged: {_REPAIR}")
-    for key, kind in kinds.items():
-        if key not in content:
-            raise ValueError(f"{path} must hold {key}, it lacks it: {_REPAIR}")
-        if not isinstance(content[key], kind) or isinstance(content[key], bool):
-            got = type(content[key]).__name__
-            raise ValueError(f"{path}: {key} must be a {_KINDS[kind]}, got {got}: {_REPAIR}")
-    if "config" in content:  # whoever builds it builds what is checked here
-        config = config_of_file(content["config"], path)
-        for key in ("env", "actor") if "config" in kinds else ():
-            if not isinstance(config.get(key), Mapping):
-                raise ValueError(f"{path}: {key} of its config must be a table, there is none.")
-        content["config"] = OmegaConf.to_yaml(config)
-    return content
+    return dict(content)
 
 
 _ABOUT = ("format", "digest")  # not of the content

@@ -72,7 +72,10 @@ def test_baselines_next_to_a_policy_meet_its_world(tmp_path):
     done = run("evaluate", *runs, "battery=planar", *SMALL, "num_envs=64")
     assert done.returncode == 0, done.stderr
     (asked,) = (tmp_path / "both" / "pose_hold").glob("evaluation/*/trials.json")
-    assert OmegaConf.create(json.loads(asked.read_text())["env"]).base_env.physics_dt == 0.008
+    assert (
+        OmegaConf.create(json.loads(asked.read_text())["config"]["env"]).base_env.physics_dt
+        == 0.008
+    )
 
 
 @pytest.mark.parametrize("name", ["start", "push"])

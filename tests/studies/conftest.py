@@ -3,9 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from zfall.studies import Study
+from zfall.studies.plan import Test
+from zfall.studies.store import Store
 
 SWITCHED = "zfall.falling.switched_with.SwitchedWith"
 TINY = {
@@ -45,6 +48,21 @@ FALLS = {
         "forces": [[20, 0]], "end_time": 1.5,
     },
 }  # fmt: skip
+
+
+CURVE = {"frames": [1.0, 2.0], "episode_return": [float("nan"), 0.5], "episode_seconds": [1.0, 2.0]}
+
+
+def some_test(**config: Any) -> Test:
+    """A test of a training by this config, which nothing has to run."""
+    inputs = {"training": {"config": config, "contents": {}}, "battery": {"name": "planar"}}
+    return Test("", None, inputs)
+
+
+def write(store: Store, test: Test, study: str = "tiny", **figures: float) -> None:
+    """Stores a result of a test."""
+    who = {"study": study, "row": "none", "seed": 0}
+    store.write(test, who, figures or {"success": 0.5}, pd.DataFrame(CURVE))
 
 
 @pytest.fixture

@@ -34,5 +34,28 @@ def test_a_value_of_another_kind_is_named(tiny, change, key, value):
         tiny(**change)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../../evil",
+        "/tmp/evil",
+        "",
+        ".",
+        "..",
+        "a/b",
+        "a\\b",
+        "-rf",
+        ".hidden",
+        "a\n",
+        "a" * 101,
+        None,
+        True,
+    ],
+)
+def test_a_name_is_that_of_one_plain_file(tiny, name):
+    with pytest.raises(ValueError, match="study.name must .*" + re.escape(repr(name))):
+        tiny(name=name)
+
+
 def test_lists_may_be_tuples(tiny):
     assert tiny(seeds=(0,), base=("num_envs=8",)).seeds == (0,)

@@ -4,6 +4,7 @@ from typing import ClassVar
 
 from rich.progress import Progress
 
+from tests.studies.conftest import some_test, write
 from zfall.studies import plan
 from zfall.studies.launch import follow
 from zfall.studies.store import Store
@@ -11,16 +12,11 @@ from zfall.studies.store import Store
 
 def test_the_bar_follows_files_and_reads_no_config(tmp_path):
     """One run is finished, its folder gone; one has trained 1.2 million of 2; configs are none."""
-    runs = [
-        plan.Run("row", seed, None, None, (), (plan.Test("", None, f"t{seed}"),)) for seed in (0, 1)
-    ]
+    runs = [plan.Run("row", seed, None, None, (), (some_test(seed=seed),)) for seed in (0, 1)]
     store = Store(tmp_path / "results", tmp_path)
-    for path, text in (
-        (store.result(runs[0].tests[0]), ""),
-        (tmp_path / "b" / "metrics.csv", "update,frames\n1,1200000\n"),
-    ):
-        path.parent.mkdir(parents=True)
-        path.write_text(text)
+    write(store, runs[0].tests[0])
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "metrics.csv").write_text("update,frames\n1,1200000\n")
 
     class Twice:
         waits: ClassVar = [False, True]

@@ -1,7 +1,10 @@
 """Files of a study by hand."""
 
-from zfall.studies.tables import Cell
-from zfall.studies.writers import as_latex, as_markdown
+import pandas as pd
+import pytest
+
+from zfall.studies.tables import Cell, as_frame
+from zfall.studies.writers import as_latex, as_markdown, check_keeps_all
 
 FIGURES = {"i50_mean": ("mean I50", 3), "control_falls": ("falls", 1)}
 FALLS = Cell(1.0, 1.0, 1.0, 3, None)
@@ -36,3 +39,26 @@ def test_latex_escapes_what_latex_reads():
     assert r"no\_such\_key" in latex
     assert r"100 \% \_as" in latex
     assert latex.count(r"\\") == 1 + 3 + 1
+
+
+def test_a_table_keeps_its_runs(tmp_path):
+    """Also one of an earlier version, which does not say how many there are."""
+    path, whole = tmp_path / "tiny.csv", as_frame(ROWS)
+    fewer = whole[whole["row"] != "better"]
+    check_keeps_all(path, fewer, str)  # there is none yet
+    for before in (whole, whole.drop(columns="seeds")):
+        before.to_csv(path, index=False)
+        check_keeps_all(path, whole, str)
+        with pytest.raises(ValueError, match="tiny.csv must keep .*better: why.*force=true"):
+            check_keeps_all(path, fewer, lambda row: f"why {row}")
+    whole.assign(seeds=3).to_csv(path, index=False)
+    with pytest.raises(ValueError, match="must keep its 9 finished runs, 3 would be lost"):
+        check_keeps_all(path, whole.assign(seeds=2), str)
+
+
+def test_runs_are_counted_by_row_and_world(tmp_path):
+    path, frame = tmp_path / "tiny.csv", as_frame(ROWS)
+    both = pd.concat([frame.assign(test="calm"), frame.assign(test="rough")])
+    both.to_csv(path, index=False)
+    with pytest.raises(ValueError, match="base \\(rough\\)"):
+        check_keeps_all(path, frame.assign(test="calm"), str)

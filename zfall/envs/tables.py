@@ -1,6 +1,6 @@
 """The yaml table of a task: what may be changed in it, and what two of them must share."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -122,24 +122,30 @@ def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:
     return key, values
 
 
-def env_digest(env_cfg: DictConfig) -> str:
-    """Identifies an env by its config, its robot with its servos, and the files that it reads.
+def contents_of(config: Mapping[str, Any]) -> dict[str, str]:
+    """What values of a config stand for that lies outside of it: files, the robot, its servos.
 
-    Those are what the classes and functions of the table name by ``reads_files``.
+    Files are those that classes and functions name by ``reads_files``.
+
+    Args:
+        config: plain containers; ``env`` is the env's table.
+
+    Returns:
+        Digests by full key, as ``zfall.meaning.meaning`` takes them.
     """
-    text, robot = OmegaConf.to_yaml(env_cfg, resolve=True), robot_of(env_cfg)
-    read: dict[str, str] = {}
-    for _, node in nodes_of(OmegaConf.to_container(env_cfg, resolve=True)):
-        try:
-            paths = getattr(get_object(str(node["_target_"])), "files_read", None)
-        except (ImportError, ValueError):  # whoever builds it says so
-            paths = None
-        for path in paths(node, robot) if paths else ():
-            if path.is_file():  # else its reader says so
-                name = node["_target_"].rpartition(".")[2]
-                read[name] = read.get(name, "") + file_digest(path)
-    known = {"env": text, "robot": identity_of(robot), "files": read}
+    env_cfg = OmegaConf.create(config["env"])
+    robot = robot_of(env_cfg)
+    contents = {"env.base_env.identity": identity_of(robot)}
     if env_cfg.base_env.get("servos") is not None:  # their numbers lie in the package
         servos = instantiate(env_cfg.base_env.servos, _convert_="all")
-        known["servos"] = {joint: asdict(each) for joint, each in servos.items()}
-    return digest(known)
+        numbers = {joint: asdict(each) for joint, each in servos.items()}
+        contents["env.base_env.servos"] = digest(numbers)
+    for place, node in nodes_of(config):
+        try:
+            built = get_object(str(node["_target_"]))
+        except (ImportError, ValueError):  # whoever builds it says so
+            continue
+        paths = built.files_read(node, robot) if hasattr(built, "files_read") else ()
+        if found := [file_digest(path) for path in paths if path.is_file()]:
+            contents[f"{place}.{built.files_argument}"] = " ".join(found)
+    return contents

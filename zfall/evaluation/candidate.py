@@ -1,7 +1,7 @@
 """What is put to a battery: a policy in its env, or a baseline; and its trials on disk."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall.configs import compose_config
 from zfall.envs import tables
-from zfall.envs.tables import changed, env_digest, robot_of
+from zfall.envs.tables import changed, contents_of, robot_of
 from zfall.evaluation.baselines import baseline_names, load_baseline, passive
 from zfall.evaluation.battery import starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
 from zfall.fingerprints import weights_digest
+from zfall.meaning import meaning, strict
 from zfall.policies.load import Policy, checkpoint_of, load_policy, shipped
 from zfall.robots import Robot
 
@@ -71,15 +72,20 @@ class Candidate:
 
     def conditions(self, battery: Battery, *, seed: int, num_envs: int) -> dict[str, Any]:
         """All that the outcomes follow from: results under the same conditions are the same."""
+        config: dict[str, Any] = strict(
+            {
+                "env": OmegaConf.to_container(self.env_cfg, resolve=True),
+                "battery": {battery.name: asdict(battery)},
+            }
+        )
         conditions = {
             "baseline": self.name if self.actor is None else None,
             "weights": weights_digest(self.actor),
             "seed": seed,
             "measures": MEASURES,
             "keep": list(self.kept),
-            "definition": json.loads(json.dumps(asdict(battery))),
-            "env": OmegaConf.to_yaml(self.env_cfg, resolve=True),
-            "world": env_digest(self.env_cfg),
+            "config": config,
+            "contents": contents_of(config),
         }
         if self.kept:  # noise and delays are drawn for all worlds that run together
             conditions["num_envs"] = num_envs
@@ -176,11 +182,21 @@ def write_trials(path: Path, trials: pd.DataFrame, conditions: dict[str, Any]) -
 
 
 def read_trials(path: Path, conditions: dict[str, Any]) -> pd.DataFrame | None:
-    """Trials that were written under the same conditions; ``None`` if there are none."""
+    """Trials that were written under the same conditions; ``None`` if there are none.
+
+    A config counts by its meaning: a later version may say the same in other words.
+    """
     given = path.with_suffix(".json")
-    if not (path.exists() and given.exists()) or json.loads(given.read_text()) != conditions:
+    if not (path.exists() and given.exists()):
         return None
-    return pd.read_csv(path)
+    same = _meaning(json.loads(given.read_text())) == _meaning(conditions)
+    return pd.read_csv(path) if same else None
+
+
+def _meaning(conditions: Mapping[str, Any]) -> dict[str, Any]:
+    """Conditions with the meaning of their config in its place."""
+    rest = {key: value for key, value in conditions.items() if key not in ("config", "contents")}
+    return rest | {"meaning": meaning(conditions.get("config", {}), conditions.get("contents", {}))}
 
 
 def remove_trials(path: Path) -> None:

@@ -75,7 +75,7 @@ def save_fall_network(network: FallNetwork, path: Path) -> None:
     checkpoint.save(path, content | {"fall_network": network.state_dict()})
 
 
-@reads_files(lambda values, robot: [fall_network_path(values.get("path"))])
+@reads_files(lambda values, robot: [fall_network_path(values.get("path"))], "path")
 def load_fall_network(path: str | None = None) -> FallNetwork:
     """The network of a file that ``recipes.falling.trigger`` wrote.
 

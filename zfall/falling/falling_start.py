@@ -18,7 +18,9 @@ from zfall.falling.files import own_file
 from zfall.fingerprints import reads_files
 
 
-@reads_files(lambda values, robot: [Path(values.get("bank") or own_file(robot, "falls.npz"))])
+@reads_files(
+    lambda values, robot: [Path(values.get("bank") or own_file(robot, "falls.npz"))], "bank"
+)
 class FallingStart(Transform):
     """Starts a share of the episodes in states of falls that ``recipes.falling.falls`` recorded.
 

@@ -18,7 +18,7 @@ from zfall.fingerprints import reads_files
 from zfall.rotations import turn_to_heading
 
 
-@reads_files(lambda values, robot: [Path(values.get("catches") or catches_path(robot))])
+@reads_files(lambda values, robot: [Path(values.get("catches") or catches_path(robot))], "catches")
 class KneelReference(Transform):
     """Moves the reference of the targets along a safe way down once the robot is to kneel.
 

@@ -1,11 +1,13 @@
 """The values of a study, each of its kind."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from zfall.errors import check_number
 
+_FILE_NAME = re.compile(r"\w[\w+.-]{0,99}")
 _TABLES = ("rows", "row_seeds", "tests", "tested_with")
 
 
@@ -18,8 +20,11 @@ def check_values(study: Mapping[str, Any]) -> None:
     Raises:
         ValueError: naming the key, the rule and the value.
     """
-    if not isinstance(study["name"], str):
-        raise ValueError(f"study.name must be a name, of its files, got {study['name']}.")
+    if not (isinstance(name := study["name"], str) and _FILE_NAME.fullmatch(name)):
+        raise ValueError(
+            "study.name must be the name of a file, letters, digits and _ - + . with none of the "
+            f"last three in front, such as actor_2, got {name!r}."
+        )
     for key in _TABLES:
         if not isinstance(study[key], Mapping):
             raise ValueError(f"study.{key} must be a table, NAME: VALUE, got {study[key]}.")

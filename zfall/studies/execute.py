@@ -2,7 +2,7 @@
 
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from filelock import FileLock
@@ -40,11 +40,11 @@ def execute(study: "Study", run: Run, store: Store) -> None:
         return
     folder = store.run_folder(run.cfg)
     for test in missing:
-        who = {"row": run.row, "seed": run.seed, "study": study.name}
+        who: dict[str, Any] = {"study": study.name, "row": run.row, "seed": run.seed}
         who |= {"test": test.title} if test.title else {}
         try:
             figures = figures_of(study, run, test, store)
-            store.write(test, who | figures, learning_curve(folder))
+            store.write(test, who, figures, learning_curve(folder))
         except Exception as error:
             _mark_failed(run, test, error, store)
 

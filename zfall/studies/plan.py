@@ -3,20 +3,22 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from zfall.configs import compose_config
-from zfall.envs.tables import INTERFACE, env_digest
+from zfall.envs.tables import INTERFACE
 from zfall.errors import in_one_line
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.metrics import MEASURES
 from zfall.fingerprints import digest
-from zfall.studies.store import training_digest
+from zfall.meaning import strict
+from zfall.studies.inputs import Inputs, meaning_of, training_inputs, world_inputs
 from zfall.studies.tested_with import TestedWith, build_tested_with
 from zfall.training.checks import check_config
 
@@ -31,12 +33,28 @@ class Test:
     Args:
         title: of the table; empty if each is tested in its own world.
         env_cfg: config of the env, but for what the policy sees and does; ``None``: its own.
-        name: tells its result from all others, whatever study they belong to.
+        inputs: all that its result follows from.
     """
 
     title: str
     env_cfg: DictConfig | None
-    name: str
+    inputs: Inputs
+
+    @cached_property
+    def meaning(self) -> dict[str, str]:
+        """What tells its result from all others."""
+        return meaning_of(self.inputs)
+
+    @cached_property
+    def name(self) -> str:
+        """A digest of ``meaning``."""
+        return digest(self.meaning)
+
+
+class _World(NamedTuple):
+    title: str
+    env_cfg: DictConfig | None
+    inputs: Inputs
 
 
 @dataclass(frozen=True)
@@ -76,38 +94,60 @@ def plan(study: "Study") -> list[Run]:
         battery = battery_of(study)
     with of("study.training_size"):
         training_size_of(study, battery)
-    runs = [
-        _run(study, battery, row, seed)
-        for row in study.rows
-        for seed in study.row_seeds.get(row, study.seeds)
-    ]
+    worlds = _worlds(study)
+    runs = [run for row in study.rows for run in _runs(study, battery, worlds, row)]
     _check_differ(runs)
     return runs
 
 
-def _run(study: "Study", battery: Battery, row: str, seed: int) -> Run:
-    """The run of a row with one seed, checked."""
+def _runs(study: "Study", battery: Battery, worlds: Sequence[_World], row: str) -> Iterator[Run]:
+    """The runs of a row, one a seed, checked."""
+    seeds = study.row_seeds.get(row, study.seeds)
     with of(f"study.rows.{row}"):
-        cfg = training([*study.base, *study.rows[row]], seed, study)
-        wanted: dict[str, Any] = {
-            "training": training_digest(cfg),
+        configs = trainings([*study.base, *study.rows[row]], seeds, study)
+        known = {
+            "battery": strict(asdict(battery)),
             "measures": MEASURES,
-            "battery": asdict(battery),
-            "training_size": study.training_size,
+            "training_size": training_size_of(study, battery),
         }
-    if row not in study.tested_with:
-        return Run(str(row), seed, cfg, None, (), _tests(study, wanted))
-    table = study.tested_with[row]
-    with of(f"study.tested_with.{row}"):
-        partner = build_tested_with(table)
-        others = tuple(training(overrides, seed, study) for overrides in partner.trainings)
-        trained = [training_digest(other) for other in others]
-        wanted["tested_with"] = [table["_target_"], partner.fingerprint(), trained]
-    tests = _tests(study, wanted)
-    for test in tests:
-        with of(f"study.tests.{test.title}" if test.title else f"study.tested_with.{row}"):
-            partner.check(cfg, others, in_test(test, cfg.env))
-    return Run(str(row), seed, cfg, partner, others, tests)
+        inputs = [known | {"training": training_inputs(cfg)} for cfg in configs]
+    partner: TestedWith | None = None
+    others: list[tuple[DictConfig, ...]] = [()] * len(seeds)
+    if row in study.tested_with:
+        table = study.tested_with[row]
+        with of(f"study.tested_with.{row}"):
+            partner = build_tested_with(table)
+            theirs = [trainings(overrides, seeds, study) for overrides in partner.trainings]
+            others = list(zip(*theirs, strict=True)) or others
+            known = {"tested_with": [table["_target_"], partner.fingerprint()]}
+            for each, those in zip(inputs, others, strict=True):
+                each |= known | {"others": [training_inputs(other) for other in those]}
+    for seed, cfg, those, each in zip(seeds, configs, others, inputs, strict=True):
+        tests = tuple(Test(title, env_cfg, each | more) for title, env_cfg, more in worlds)
+        run = Run(str(row), seed, cfg, partner, those, tests)
+        _check_partner(run)
+        yield run
+
+
+def _check_partner(run: Run) -> None:
+    """Refuses what a policy is tested with if it would fail in a test."""
+    for test in run.tests if run.tested_with is not None else ():
+        with of(f"study.tests.{test.title}" if test.title else f"study.tested_with.{run.row}"):
+            run.tested_with.check(run.cfg, run.others, in_test(test, run.cfg.env))
+
+
+def _worlds(study: "Study") -> list[_World]:
+    """The worlds of the tests of a study, checked."""
+    worlds = []
+    for title, overrides in (study.tests or {"": None}).items():
+        if overrides is None:
+            worlds.append(_World(str(title), None, {}))
+            continue
+        with of(f"study.tests.{title}"):
+            test_cfg = compose_config([*study.base, *overrides])
+            check_config(test_cfg)
+            worlds.append(_World(str(title), test_cfg.env, {"world": world_inputs(test_cfg.env)}))
+    return worlds
 
 
 def battery_of(study: "Study") -> Battery:
@@ -131,16 +171,19 @@ def training_size_of(study: "Study", battery: Battery) -> str:
     return text
 
 
-def training(overrides: Sequence[str], seed: int, study: "Study") -> DictConfig:
-    """The config of a training of a study, whose overrides may replace its ``total_frames``."""
-    own = [f"seed={seed}", f"total_frames={study.total_frames}", "showcase=null"]
+def trainings(overrides: Sequence[str], seeds: Sequence[int], study: "Study") -> list[DictConfig]:
+    """The configs of trainings of a study, whose overrides may replace its ``total_frames``."""
+    own = [f"seed={seeds[0]}", f"total_frames={study.total_frames}", "showcase=null"]
     cfg = compose_config([*own, *overrides])
     check_config(cfg)
-    if cfg.seed != seed:
+    if cfg.seed != seeds[0]:
         raise ValueError(f"seed must be left to seeds and row_seeds of the study, got {cfg.seed}.")
     if cfg.resume is not None:
         raise ValueError(f"resume must be null, a study goes on by itself, got {cfg.resume}.")
-    return cfg
+    configs = [cfg, *(cfg.copy() for _ in seeds[1:])]
+    for each, seed in zip(configs, seeds, strict=True):
+        each.seed = seed
+    return configs
 
 
 @contextmanager
@@ -152,21 +195,6 @@ def of(key: str) -> Iterator[None]:
         raise ValueError(f"{key}: {in_one_line(error)}") from error
     except (AttributeError, TypeError) as error:
         raise ValueError(f"{key}: a value may be of another kind than it takes: {error}") from error
-
-
-def _tests(study: "Study", wanted: dict[str, Any]) -> tuple[Test, ...]:
-    """The tests of a run, whose results depend on what is ``wanted`` and the test's world."""
-    tests = []
-    for title, overrides in (study.tests or {"": None}).items():
-        env_cfg, more = None, {}
-        if overrides is not None:
-            with of(f"study.tests.{title}"):
-                test_cfg = compose_config([*study.base, *overrides])
-                check_config(test_cfg)
-                env_cfg = test_cfg.env
-                more = {"test": env_digest(env_cfg)}
-        tests.append(Test(str(title), env_cfg, digest(wanted | more)))
-    return tuple(tests)
 
 
 def _check_differ(runs: Sequence[Run]) -> None:

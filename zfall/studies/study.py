@@ -14,7 +14,7 @@ from zfall.errors import check_keys
 from zfall.studies.checks import check_values
 from zfall.studies.execute import execute
 from zfall.studies.launch import progress_of
-from zfall.studies.plan import Run, plan
+from zfall.studies.plan import Run, plan, shown
 from zfall.studies.store import Store
 from zfall.studies.writers import write_tables
 
@@ -104,17 +104,20 @@ class Study:
         results: str | Path = "docs/studies",
         runs: str | Path = "runs/studies",
         rebuild: bool = False,
+        force: bool = False,
         console: Console | None = None,
         submit: Callable[[Sequence[int]], None] | None = None,
     ) -> pd.DataFrame:
         """Runs what has no results yet and writes ``NAME.{md,csv,tex,png,pdf}``.
 
         What was cut goes on. A run that fails is marked in the tables, and the others go on.
+        Learning curves are drawn as soon as there is one.
 
         Args:
-            results: folder of the tables, with a csv for each finished run.
+            results: folder of the tables, and of ``results/NAME.jsonl`` with what is finished.
             runs: folder of the run folders.
             rebuild: whether only to make the tables, from what is finished.
+            force: whether a table may have fewer finished runs than the one that it replaces.
             console: shows the progress.
             submit: has runs of ``plan``, given by their positions, executed in other processes;
                 without it they are executed here, one after the other.
@@ -122,16 +125,27 @@ class Study:
         Returns:
             A line for each row and figure, as in ``NAME.csv``: ``mean`` over seeds, ``low`` and
             ``high`` of its bootstrap 95 % interval, and the paired ``difference`` to the first
-            row; with a column ``test`` if there are several worlds.
+            row, and ``seeds``, how many these are; with a column ``test`` if there are several
+            worlds.
+
+        Raises:
+            ValueError: if a table would lose finished runs, naming what is missing and why.
         """
         plan, store = self.plan, Store(Path(results), Path(runs))
-        store.results_of_runs.mkdir(parents=True, exist_ok=True)
+        console = console or Console()
         todo = [i for i, run in enumerate(plan) if store.unfinished(run)]
         if todo and not rebuild:
-            with progress_of(self, store, console or Console()):
+            first = plan[todo[0]]
+            test = store.unfinished(first)[0]
+            line = f"{len(todo)} of {len(plan)} runs are not stored; of {shown(first, test)}, "
+            console.print(line + store.nearest(test), markup=False, soft_wrap=True)
+            with progress_of(self, store, console):
                 if submit is not None:
                     submit(todo)
                 else:
                     for number in todo:
                         execute(self, plan[number], store)
-        return write_tables(self, store)
+        frame, paths = write_tables(self, store, force=force)
+        written = ", ".join(map(str, paths))
+        console.print(f"wrote {written}", markup=False, highlight=False, soft_wrap=True)
+        return frame

@@ -11,6 +11,10 @@ from zfall.evaluation.kinds import Figures
 from zfall.studies.plan import Run, Test
 from zfall.studies.store import Store
 
+_COLUMNS = (
+    *("row", "figure", "mean", "low", "high"),
+    *("difference", "difference_low", "difference_high", "seeds"),
+)
 UNPAIRED = ("frames_per_s", "control_falls")  # of which no difference is shown
 
 
@@ -63,19 +67,19 @@ class Table:
 
 
 def tables_of(runs: Sequence[Run], store: Store, figures: Figures) -> list[Table]:
-    """The tables of a study, from the files of finished tests alone.
+    """The tables of a study, from stored results alone.
 
     One for each test, its rows those of the study; of a study with one row one, whose rows are
     the tests.
     """
     tables = []
-    for title, cells in _arranged(runs).items():
+    for title, cells in arranged(runs).items():
         lines: dict[str, list[pd.DataFrame]] = {row: [] for row, _, _ in cells}
         missing: dict[str, str] = {}
         for row, run, test in cells:
-            path = store.result(test)
-            if path.exists():
-                lines[row].append(pd.read_csv(path).assign(seed=run.seed))
+            stored = store.find(test)
+            if stored is not None:
+                lines[row].append(pd.DataFrame([{**stored.figures, "seed": run.seed}]))
             else:
                 missing[f"{row}, seed {run.seed}"] = store.why_missing(test)
         nothing = pd.DataFrame(columns=["seed", *figures])
@@ -87,7 +91,7 @@ def tables_of(runs: Sequence[Run], store: Store, figures: Figures) -> list[Table
     return tables
 
 
-def _arranged(runs: Sequence[Run]) -> dict[str, list[tuple[str, Run, Test]]]:
+def arranged(runs: Sequence[Run]) -> dict[str, list[tuple[str, Run, Test]]]:
     """By title, the cells of each table: row, run and test."""
     one_row = len({run.row for run in runs}) == 1 and len(runs[0].tests) > 1
     tables: dict[str, list[tuple[str, Run, Test]]] = {}
@@ -133,7 +137,6 @@ def as_frame(rows: Rows) -> pd.DataFrame:
     for name, cells in rows.items():
         for figure, cell in cells.items():
             change: Sequence[float] = cell.difference or (np.nan, np.nan, np.nan)
-            keys = ("difference", "difference_low", "difference_high")
-            line = {"row": name, "figure": figure, "mean": cell.mean, "low": cell.low}
-            lines.append(line | {"high": cell.high} | dict(zip(keys, change, strict=True)))
-    return pd.DataFrame(lines)
+            own = (name, figure, cell.mean, cell.low, cell.high)
+            lines.append((*own, *change, cell.seeds))
+    return pd.DataFrame(lines, columns=list(_COLUMNS))

@@ -1,6 +1,8 @@
 """The files of a study: tables in Markdown, LaTeX and csv, and learning curves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -9,33 +11,92 @@ from zfall.evaluation.kinds import Figures, kind_of
 from zfall.evaluation.plots import learning_bands
 from zfall.studies.plan import Run, battery_of
 from zfall.studies.store import Store
-from zfall.studies.tables import Cell, Rows, tables_of
+from zfall.studies.tables import Cell, Rows, arranged, tables_of
 
 if TYPE_CHECKING:
     from zfall.studies.study import Study
 
 
-def write_tables(study: "Study", store: Store) -> pd.DataFrame:
-    """Writes ``NAME.{md,tex,csv,png,pdf}`` from the files of finished tests alone.
+def write_tables(
+    study: "Study", store: Store, *, force: bool = False
+) -> tuple[pd.DataFrame, list[Path]]:
+    """Writes ``NAME.{md,tex,csv}`` from stored results alone, and of learning curves ``png, pdf``.
+
+    Args:
+        study: which.
+        store: has the results.
+        force: whether a table may have fewer finished runs than the one that it replaces.
 
     Returns:
-        What the csv holds.
+        What the csv holds, and the files that are written.
+
+    Raises:
+        ValueError: if it would have fewer, naming what is missing and why.
     """
     figures = kind_of(battery_of(study)).study_figures
     tables = tables_of(study.plan, store, figures)
+    frame = pd.concat([table.as_frame() for table in tables])
+    place = store.results / study.name
+    if not force:
+        check_keeps_all(place.with_suffix(".csv"), frame, partial(_why, study.plan, store))
     texts, sources = [], []
     for table in tables:
         title = table.title
         head, comment = (f"Tested: {title}\n\n", f"% tested: {title}\n") if title else ("", "")
         texts.append(head + as_markdown(table.rows, table.missing, figures))
         sources.append(comment + as_latex(table.rows, table.missing, figures))
-    frame = pd.concat([table.as_frame() for table in tables])
-    place = store.results / study.name
-    place.with_name(f"{study.name}.md").write_text("\n".join(texts))
-    place.with_name(f"{study.name}.tex").write_text("\n".join(sources))
-    frame.to_csv(place.with_name(f"{study.name}.csv"), index=False)
-    _write_curves(study.name, study.plan, store)
-    return frame
+    store.results.mkdir(parents=True, exist_ok=True)
+    path = {ending: store.results / f"{study.name}.{ending}" for ending in ("md", "tex", "csv")}
+    path["md"].write_text("\n".join(texts))
+    path["tex"].write_text("\n".join(sources))
+    drawn = _write_curves(study.name, study.plan, store)
+    frame.to_csv(path["csv"], index=False)
+    return frame, [*path.values(), *drawn]
+
+
+def check_keeps_all(path: Path, frame: pd.DataFrame, why: Callable[[str], str]) -> None:
+    """Refuses a table with fewer finished runs of a row than the csv that it replaces.
+
+    Args:
+        path: of the csv.
+        frame: what it would hold.
+        why: of a row, by its name and perhaps test, says what is missing.
+
+    Raises:
+        ValueError: naming the first row that would lose runs, and why.
+    """
+    if not path.exists() or not path.read_text().strip():
+        return
+    before, after = _finished(pd.read_csv(path)), _finished(frame)
+    lost = {row: count - after.get(row, 0) for row, count in before.items()}
+    lost = {row: count for row, count in lost.items() if count > 0}
+    if lost:
+        first = next(iter(lost))
+        raise ValueError(
+            f"{path} must keep its {sum(before.values())} finished runs, "
+            f"{sum(lost.values())} would be lost: {first}: {why(first)}; "
+            "force=true writes it all the same."
+        )
+
+
+def _finished(frame: pd.DataFrame) -> dict[str, int]:
+    """How many finished runs the rows of a csv have, each by its name and perhaps test."""
+    if not len(frame):
+        return {}
+    seeds = frame["seeds"] if "seeds" in frame else pd.Series(1, index=frame.index)
+    name = frame["row"].astype(str)
+    if "test" in frame:
+        name = name + " (" + frame["test"].astype(str) + ")"
+    return {str(row): int(count) for row, count in seeds.groupby(name, sort=False).max().items()}
+
+
+def _why(plan: Sequence[Run], store: Store, row: str) -> str:
+    """What a row lacks, and why."""
+    for title, cells in arranged(plan).items():
+        for name, run, test in cells:
+            if row in (name, f"{name} ({title})") and store.find(test) is None:
+                return f"seed {run.seed} {store.why_missing(test)}, {store.nearest(test)}"
+    return "no row and seed of the study any more"
 
 
 def as_markdown(rows: Rows, missing: Mapping[str, str], figures: Figures) -> str:
@@ -81,12 +142,13 @@ def _text(cell: Cell, digits: int, bold: str) -> str:
     return out
 
 
-def _write_curves(name: str, runs: Sequence[Run], store: Store) -> None:
+def _write_curves(name: str, runs: Sequence[Run], store: Store) -> list[Path]:
     """The learning curves with bands over seeds, of the rows that have any."""
     curves: dict[str, list[pd.DataFrame]] = {}
     for run in runs:
-        test = run.tests[0]
-        if store.result(test).exists():
-            curves.setdefault(run.row, []).append(pd.read_csv(store.curve(test)))
-    for ending in ("png", "pdf") if curves else ():
-        learning_bands(curves, store.results / f"{name}.{ending}", title=name)
+        if stored := store.find(run.tests[0]):
+            curves.setdefault(run.row, []).append(stored.curve)
+    paths = [store.results / f"{name}.{ending}" for ending in ("png", "pdf") if curves]
+    for path in paths:
+        learning_bands(curves, path, title=name)
+    return paths
