@@ -1,6 +1,7 @@
 """Pictures of the robot, without a screen."""
 
 import os
+from importlib import import_module, reload
 from typing import Any
 
 import mujoco
@@ -23,11 +24,19 @@ def make_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
             f"MUJOCO_GL must be egl, osmesa or glfw for pictures, or not be set, got {refused}."
         )
     try:
+        _choose_again()
         return mujoco.Renderer(model, height, width)
     except Exception as error:
         raise RuntimeError(
             f"rendering needs OpenGL without a screen; install: {INSTALL}"
         ) from error
+
+
+def _choose_again() -> None:
+    """Lets MuJoCo see what MUJOCO_GL says now, if TorchRL imported it before zfall had set it."""
+    chosen: Any = import_module("mujoco.rendering.classic.gl_context")
+    if getattr(chosen, "_MUJOCO_GL", "") != os.environ.get("MUJOCO_GL", "").lower().strip():
+        reload(chosen)
 
 
 class Camera:

@@ -8,7 +8,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
-from torchrl.envs import Compose, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from zfall.envs.env_state import State, env_state, load_env_state
 
@@ -26,6 +26,9 @@ class TableEnv(TransformedEnv):
     Raises:
         ValueError: if a reset gives what is not finite.
     """
+
+    # That of TransformedEnv keeps transforms around this env from changing the action.
+    rand_action = EnvBase.rand_action
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         after = super()._step(tensordict)

@@ -115,3 +115,19 @@ def test_terms_that_go_wrong_are_named_at_the_first_step(make_base, term, messag
     td["action"] = torch.zeros(3, 20)
     with pytest.raises(ValueError, match=message):
         env.step(td)
+
+
+@pytest.mark.parametrize(("value", "given"), [(torch.nan, "nan"), (-torch.inf, "-inf")])
+def test_a_term_that_is_not_finite_is_named_in_the_step_and_with_the_world(make_base, value, given):
+    def spoilt(td, next_td):
+        return torch.where(torch.arange(3)[:, None] == 1, value, next_td["base_position"][:, :1])
+
+    env = build(make_base, {"mine": (0.5, spoilt)})
+    with pytest.raises(ValueError, match=rf"terms.mine must be finite, got {given} in world 1"):
+        env.step(env.reset().set("action", torch.zeros(3, 20)))
+
+
+def test_large_terms_are_no_fault(make_base):
+    env = build(make_base, {"mine": (1.0, lambda td, next_td: torch.full((3, 1), 3e38))})
+    after = env.step(env.reset().set("action", torch.zeros(3, 20)))["next"]
+    assert not after["diverged"].any()

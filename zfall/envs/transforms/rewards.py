@@ -1,5 +1,6 @@
 """The reward: a table of weighted terms."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -26,7 +27,7 @@ class WeightedReward(Transform):
 
     Raises:
         ValueError: if no term is left, an entry is none, or, at the first step, a term reads what
-            is not there or returns another shape.
+            is not there or returns another shape; and in any step, if one is not finite.
     """
 
     def __init__(
@@ -63,6 +64,8 @@ class WeightedReward(Transform):
                     f"terms.{name} must return {self.shape}, one number per world, "
                     f"got {tuple(value.shape)}."
                 )
+            if not math.isfinite(value.sum()):
+                _refuse(name, value)
             next_tensordict["reward_terms", name] = value
             reward = reward + value
         return next_tensordict.set("reward", reward)
@@ -85,3 +88,14 @@ class WeightedReward(Transform):
     def transform_reward_spec(self, reward_spec: Composite) -> Composite:
         reward_spec["reward"] = Unbounded((*reward_spec.shape, 1))
         return reward_spec
+
+
+def _refuse(name: str, value: Tensor) -> None:
+    """Raises ``ValueError`` if a term has a value that is not finite; large ones may be."""
+    bad = (~value.isfinite()).nonzero()
+    if len(bad):
+        world = int(bad[0, 0])
+        raise ValueError(
+            f"terms.{name} must be finite, got {value[world, 0]:g} in world {world}: it divides by "
+            "0, for instance, or reads what a transform has made so."
+        )
