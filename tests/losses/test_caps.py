@@ -308,10 +308,11 @@ def test_bad_values_are_refused(values, rule):
         CAPSLoss(linear_actor()[1], {"gyro": slice(0, 3)}, **values)
 
 
-def test_actions_of_a_mixture_of_shared_components_are_refused():
+@pytest.mark.parametrize("shared", [False, True])
+def test_actions_of_a_mixture_are_refused(shared):
     spec = Composite({"observation": Unbounded((1, OBSERVED))}, shape=(1,))
-    actor = mlp_actor(spec, Unbounded((1, JOINTS)), components=2, shared_components=True)
-    with pytest.raises(ValueError, match="on_actions must be false for a mixture of shared"):
+    actor = mlp_actor(spec, Unbounded((1, JOINTS)), components=2, shared_components=shared)
+    with pytest.raises(ValueError, match="on_actions must be false for a mixture, whose draws"):
         CAPSLoss(actor, on_actions=True)
 
 

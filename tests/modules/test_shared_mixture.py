@@ -50,6 +50,12 @@ def test_shared_mixture_draws_all_joints_from_one_component():
     assert_close(ours.mode, torch.tensor([[1.0, 1.0]]), atol=1e-4, rtol=0)
 
 
+def test_draws_of_a_shared_mixture_have_no_gradient_and_say_so():
+    ours = SharedMixtureOfGaussians(torch.zeros(1, 2), torch.zeros(1, 2, 3), torch.ones(1, 2, 3))
+    with pytest.raises(ValueError, match="rsample must not be called on a mixture over the whole"):
+        ours.rsample()
+
+
 def test_shared_mixture_of_one_component_is_a_gaussian():
     loc, scale = torch.randn(5000, 1, 3), torch.rand(5000, 1, 3) + 0.1
     p = SharedMixtureOfGaussians(torch.zeros(5000, 1), loc, scale)

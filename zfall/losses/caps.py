@@ -94,8 +94,8 @@ class CAPSLoss(LossModule):
                 raise ValueError(f"{name} must be one of {', '.join(NORMS)}, got {norm!r}.")
         if on_actions and not actor_network[-1].distribution_class.has_rsample:
             raise ValueError(
-                "on_actions must be false for a mixture of shared components, whose draws have no "
-                "gradient; got true."
+                "on_actions must be false for a mixture, whose draws have no gradient by the "
+                "weights of its components; got true."
             )
         self.actor_network, self.on_actions = actor_network, on_actions
         self.temporal_coeff, self.spatial_coeff = temporal_coeff, spatial_coeff

@@ -37,7 +37,7 @@ class MixtureOfGaussians(Distribution):
 
     arg_constraints: dict[str, constraints.Constraint] = {}
     support = constraints.independent(constraints.real, 1)
-    has_rsample = True
+    has_rsample = False  # not by the logits, see ``rsample``
 
     def __init__(self, logits: Tensor, loc: Tensor, scale: Tensor, statistic: str = "mean"):
         self.statistic = statistic
@@ -94,13 +94,27 @@ class MixtureOfGaussians(Distribution):
         return loc + scale * torch.randn_like(loc)
 
     def rsample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
-        """Draws with a gradient, ``dx = -dF(x) / p(x)`` at a fixed quantile, F being the ``cdf``.
+        """Draws with a gradient by means and standard deviations; the logits must have none.
+
+        ``dx = -dF(x) / p(x)`` at a fixed quantile, F being the ``cdf``: what the components move
+        by, weighted by how likely each is at x. By the logits it is the only unbiased estimate
+        that follows a draw, too, and of no use: its variance grows without bounds as the density
+        between two components vanishes. Losses take ``log_prob`` there, as PPO does.
+
+        Raises:
+            ValueError: if the logits require a gradient.
 
         Source: Figurnov et al., "Implicit reparameterization gradients", NeurIPS 2018.
         """
         value = self.sample(sample_shape)
         if not torch.is_grad_enabled():
             return value
+        if self.logits.requires_grad:
+            raise ValueError(
+                "logits must not require a gradient for rsample, which has none of bounded "
+                "variance by the weights of a mixture, got some that do: use log_prob, or a plain "
+                "Gaussian (actor.components=0) for losses that need rsample, as SAC does."
+            )
         density = self.joint_log_prob(value).exp().detach()
         quantile = self.cdf(value)
         return value - (quantile - quantile.detach()) / density

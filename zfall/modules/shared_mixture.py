@@ -60,6 +60,18 @@ class SharedMixtureOfGaussians(Distribution):
         scale = self.scale.expand(shape + self.scale.shape).gather(-2, index).squeeze(-2)
         return loc + scale * torch.randn_like(loc)
 
+    def rsample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = ()) -> Tensor:
+        """Refused: a draw has no gradient.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(
+            "rsample must not be called on a mixture over the whole action, whose draws jump from "
+            "component to component: use log_prob, or a plain Gaussian (actor.components=0) for "
+            "losses that need rsample, as SAC does."
+        )
+
     @property
     def mean(self) -> Tensor:
         """Mean ``(*B, J)``."""
