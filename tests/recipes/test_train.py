@@ -96,10 +96,7 @@ BAD = [
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
     (["optimizer.lr=abc"], "optimizer.lr must be a number, at least 0, got abc"),
     (["alike=3"], "alike must divide the 8 worlds of each group (num_envs, groups), got 3"),
-    (
-        ["alike=2"],
-        "alike must be that of the transform that starts episodes, here 1 (1 without one), got 2.",
-    ),
+    (["alike=2"], "alike must be 1 without a transform that has one, got 2."),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),
     (["actor=gru_mog", "minibatches=9"], "more than the 8 sequences of an update, got 9"),
     (

@@ -1,5 +1,7 @@
 """Collecting and learning."""
 
+from typing import ClassVar
+
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -602,6 +604,80 @@ def test_the_order_of_sequences_changes_nothing(compose_config):
         found.append([out["loss_objective"], *(p.grad.clone() for p in learner.parameters)])
     assert found[0][1].abs().max() > 1e-3
     assert_close(found[0], found[1], rtol=1e-4, atol=1e-6)
+
+
+def test_another_number_of_worlds_alike_names_the_transform(compose_config):
+    falling = "{_target_: zfall.falling.falling_start.FallingStart, before: action, alike: 2}"
+    cfg = compose_config("num_envs=8", "alike=4", f"+env.transforms.tumble={falling}")
+    with pytest.raises(ValueError, match=r"alike must be env.transforms.tumble.alike, 2, got 4"):
+        Learner(cfg)
+
+
+class Wanting(LossModule):
+    """Takes what only the task can give, and has nothing to ask it with."""
+
+    def __init__(self, actor_network, mirrors=None, *, teacher=None, coeff=1.0):
+        super().__init__()
+
+
+class WantingMirrors(LossModule):
+    """Likewise."""
+
+    def __init__(self, actor_network, mirrors):
+        super().__init__()
+
+
+@pytest.mark.parametrize(
+    ("loss", "rule"),
+    [
+        ("WantingMirrors", r"classmethod for_task\(actor_network, task, .* task.mirror"),
+        ("Wanting, teacher: best", r"for_task.* which takes teacher: task.policy\(run\) gives it"),
+    ],
+)
+def test_a_loss_that_cannot_ask_the_task_is_told_how(compose_config, loss, rule):
+    own = f"+auxiliary_losses.own={{_target_: tests.training.test_learner.{loss}}}"
+    with pytest.raises(ValueError, match=rf"auxiliary_losses.own .*{rule}"):
+        Learner(compose_config("num_envs=4", own))
+
+
+def bare_actor(observation_spec, action_spec):
+    """Draws by a distribution of which nobody knows variance or entropy."""
+    size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
+    net = TensorDictModule(nn.Linear(size, joints), ["observation"], ["loc"])
+    return ProbabilisticActor(
+        net, in_keys=["loc"], distribution_class=Unknown, return_log_prob=True
+    )
+
+
+class Unknown(torch.distributions.Distribution):
+    """A Gaussian of width 1 that says its density and no more."""
+
+    arg_constraints: ClassVar = {}
+
+    def __init__(self, loc):
+        self.loc = loc
+        super().__init__(loc.shape[:-1], loc.shape[-1:], validate_args=False)
+
+    def sample(self, sample_shape=()):
+        return (self.loc + torch.randn(*sample_shape, *self.loc.shape)).detach()
+
+    def log_prob(self, value):
+        return -0.5 * (value - self.loc).square().sum(-1)
+
+    @property
+    def deterministic_sample(self):
+        return self.loc
+
+
+def test_an_actor_of_unknown_variance_and_entropy_learns(compose_config):
+    """Its exploration is then not looked at: no figure, and no fault."""
+    learner = Learner(
+        compose_config("num_envs=4", "rollout_steps=4", "loss.entropy_coeff=0", "~actor",
+                       "+actor={_target_: tests.training.test_learner.bare_actor}")
+    )  # fmt: skip
+    batch = learner.collect()
+    assert learner.exploration(batch) == {}
+    assert learner.learn(batch)["loss_objective"] != 0.0
 
 
 class LossOfItsOwn(LossModule):

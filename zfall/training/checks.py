@@ -78,7 +78,7 @@ def check_config(cfg: DictConfig) -> None:
         target_of(cfg.augmentation, "augmentation")
 
 
-def check_task(env: TransformedEnv, alike: int = 1) -> None:
+def check_task(env: TransformedEnv, cfg: DictConfig) -> None:
     """Refuses an env that lacks what learning reads, or begins another number of worlds alike.
 
     A transform that starts several worlds in the same state says how many in a row as ``alike``.
@@ -86,17 +86,27 @@ def check_task(env: TransformedEnv, alike: int = 1) -> None:
     Raises:
         ValueError: naming the key and a transform that brings it.
     """
-    begins = next((t.alike for t in env.transform if hasattr(t, "alike")), 1)
-    if alike != begins:
-        raise ValueError(
-            f"alike must be that of the transform that starts episodes, here {begins} (1 without "
-            f"one), got {alike}."
+    begins = next((t for t in env.transform if hasattr(t, "alike")), None)
+    number = getattr(begins, "alike", 1)
+    if cfg.alike != number:
+        kind, table = type(begins).__name__, OmegaConf.select(cfg, "env.transforms") or {}
+        name = next((key for key in table if _class_name(table[key]) == kind), kind)
+        here = (
+            f"env.transforms.{name}.alike, {number}"
+            if begins
+            else "1 without a transform that has one"
         )
+        raise ValueError(f"alike must be {here}, got {cfg.alike}.")
     specs = (env.observation_spec, env.full_reward_spec, env.full_action_spec)
     there = {key for spec in specs for key in spec.keys()}
     for key, transform in _WRITTEN_BY.items():
         if key not in there:
             raise ValueError(f"env.transforms must bring {key}, as {transform} does.")
+
+
+def _class_name(transform: Any) -> str:
+    target = transform.get("_target_") if isinstance(transform, DictConfig) else None
+    return str(target).rpartition(".")[2]
 
 
 def check_ranges(cfg: DictConfig) -> None:

@@ -54,7 +54,7 @@ class Learner:
         self.cfg = cfg = whole_config(config)
         torch.manual_seed(cfg.seed)
         self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups)
-        check_task(self.env, cfg.alike)
+        check_task(self.env, cfg)
         spec = self.env.observation_spec
         self.actor = instantiate(cfg.actor, spec, self.env.action_spec)
         self._average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))

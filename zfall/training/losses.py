@@ -24,6 +24,13 @@ LOSS_KEYS = {
     *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
 }
 
+TASK_FACTS = {  # what losses take of the task, and what of ``TaskFacts`` gives it
+    "spans": "task.spans(key)",
+    "mirrors": "task.mirror(key)",
+    "teacher": "task.policy(run)",
+    "task": "task",
+}
+
 
 def ppo_loss(cfg: DictConfig, actor: torch.nn.Module, critic: torch.nn.Module) -> PenalizedPPOLoss:
     """PPO's loss of a run.
@@ -101,7 +108,9 @@ def build_loss(config: DictConfig, place: str, networks: Any, task: TaskFacts) -
     Raises:
         ValueError: if there is no such class, or what it asks for is not there.
     """
-    if not hasattr(target_of(config, place), "for_task"):
+    target = target_of(config, place)
+    if not hasattr(target, "for_task"):
+        _check_needs_no_task(config, place, target)
         return instantiate(config, networks)
     own = config.copy()
     with open_dict(own):
@@ -110,6 +119,20 @@ def build_loss(config: DictConfig, place: str, networks: Any, task: TaskFacts) -
         return instantiate(own, networks, task.at(place))
     except InstantiationException as error:
         raise ValueError(in_one_line(error)) from error
+
+
+def _check_needs_no_task(config: DictConfig, place: str, target: Any) -> None:
+    """Refuses a class without ``for_task`` that takes what only that can give it."""
+    first, *others = inspect.signature(target).parameters.values()
+    for value in others:
+        given = config.get(value.name)
+        missing = value.default is value.empty and value.name not in config
+        if value.name in TASK_FACTS and (missing or isinstance(given, str)):
+            raise ValueError(
+                f"{place} must have a classmethod for_task({first.name}, task, **values) in "
+                f"{config['_target_']}, which takes {value.name}: {TASK_FACTS[value.name]} gives "
+                f"it; got none."
+            )
 
 
 def target_of(config: Any, place: str) -> Any:
