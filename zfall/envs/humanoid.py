@@ -54,7 +54,8 @@ class HumanoidEnv(EnvBase):
     ``push_targets`` gives the index of each link and push point. Two keys change the state before
     the step, if present: ``("push", "kick")`` ``(N, 3)`` [m/s; world] is added to the base's
     velocity, and ``("ball", "launch")`` ``(N, 1)`` says where the ball is put to
-    ``("ball", "start")`` ``(N, 6)`` [m, m/s; world].
+    ``("ball", "start")`` ``(N, 6)`` [m, m/s; world]. ``fault`` ``(N, 1)`` bool, if present, ends a
+    world as failed physics does, and so does a servo target that is not finite.
 
     Writes the quantities of the table in ``zfall.simulation.quantities``, which says how old each
     is in its step; after a reset all are those of the new state.
@@ -199,7 +200,7 @@ class HumanoidEnv(EnvBase):
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self._repeats.check(tensordict, self._observed and self._observed["base_position"])
+        self._repeats.check(tensordict, (self._observed or {}).get("base_position"))
         joints = len(self.robot.joints)
         control, fault = read_control(tensordict, (self.num_envs, self.substeps, joints))
         self._forces.take(self.simulation.wrench, tensordict.get(("push", "wrench"), None))

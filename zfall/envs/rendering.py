@@ -46,9 +46,11 @@ class Camera:
         model: the compiled model.
     """
 
+    _renderer: Any
+
     def __init__(self, model: mujoco.MjModel):
-        self._model = model
-        self.close()
+        self._model, self._renderer = model, None
+        self._size = (0, 0)
 
     def picture(
         self, qpos: NDArray[np.float64], height: int = 480, width: int = 640
@@ -73,14 +75,14 @@ class Camera:
 
     def close(self) -> None:
         """Frees the renderer; the next picture makes a new one."""
-        if getattr(self, "_renderer", None) is not None:
+        if self._renderer is not None:
             self._renderer.close()
-        self._renderer: Any = None
-        self._size = (0, 0)
+        self._renderer, self._size = None, (0, 0)
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles make their own renderer."""
         return {"_model": self._model}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["_model"])  # type: ignore[misc]
+        self._model, self._renderer = state["_model"], None
+        self._size = (0, 0)

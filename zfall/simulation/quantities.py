@@ -94,8 +94,8 @@ QUANTITIES = (
     Quantity("contact_force_peak", ("R",), "N", "norm of the floor's force on a region", PEAK),
     Quantity("contact_impulse", ("R",), "N s", "that norm, integrated", "sum over the step"),
 )  # fmt: skip
-FLAG = Quantity("diverged", (1,), "0 or 1", "bool: the physics failed, which ends the episode",
-                "whole step", dtype=torch.bool)  # fmt: skip
+FAILED = "bool: the physics failed or a value was not finite, which ends the episode"
+FLAG = Quantity("diverged", (1,), "0 or 1", FAILED, "whole step", dtype=torch.bool)
 BALL = (
     Quantity(("ball", "position"), (3,), "m, world axes", "center of the ball, if any", END),
     Quantity(("ball", "velocity"), (3,), "m/s, world axes", "of its center", END),
