@@ -21,6 +21,15 @@ def shown_path(path: Path) -> str:
 
 
 def remove_if_empty(folder: Path) -> None:
-    """Removes what hydra made before it was known whether anything would be put into it."""
+    """Removes what hydra made before it was known whether anything would be put into it.
+
+    Folders around it go, too, as ``runs/EXPERIMENT`` does, if they are empty and lie below the
+    working directory.
+    """
+    here, folder = Path.cwd(), folder.absolute()
     with suppress(OSError):  # it holds something
         folder.rmdir()
+        for around in folder.parents:
+            if here not in around.parents:
+                break
+            around.rmdir()
