@@ -10,6 +10,7 @@ import pickle
 import pkgutil
 from collections.abc import Callable
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,7 +23,7 @@ from torchrl.envs import Compose, ParallelEnv, SerialEnv, Transform, Transformed
 from torchrl.envs.utils import check_env_specs
 
 import zfall
-from tests.envs.transforms.table import OF_TARGET, TABLE, build_base, choose
+from tests.envs.transforms.table import OF_TARGET, TABLE, TARGETS, build_base, choose
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import build_transform, make_env
 from zfall.envs.transforms.starts import ScriptedStart
@@ -34,7 +35,8 @@ ON = dict.fromkeys(
 ) | {"last_action": STEPS}  # fmt: skip
 WITHOUT_ENV = {"noise", "near"}  # on data they draw from torch's own generator
 ROWS = ["action", "velocity", *(name for name in TABLE if name != "limit"), "scripted"]
-NOT_ROWS = {"DropSubsteps", "_DropSubsteps"}  # the end of each table that make_env builds
+WHOLE = {f"all with {target} targets": target for target in TARGETS}  # at once
+NOT_ROWS = {"DropSubsteps"}  # the end of each table that make_env builds
 
 
 class Row:
@@ -44,7 +46,10 @@ class Row:
         self.name, self.on = name, ON.get(name, PHYSICS)
         velocity = name in {"velocity", *OF_TARGET["velocity"]}
         self.key = "action" if name == "velocity" else name
-        self.table = choose("velocity" if velocity else "position", {name} & set(TABLE))
+        target, names = "velocity" if velocity else "position", {name} & set(TABLE)
+        if name in WHOLE:
+            target, names = WHOLE[name], set(TABLE)
+        self.table = choose(target, names)
         if name == "scripted":
             self.table = {"scripted": None, **self.table}
 
@@ -106,7 +111,7 @@ def alone_in_an_env(row: Row) -> None:
 
 
 def in_a_compose(row: Row) -> None:
-    """As a user of TorchRL writes it, commands from last to first; the same bits."""
+    """As a user of TorchRL writes it, commands and starts from last to first; the same bits."""
     expected = run(row.env())
     base = build_base(num_envs=2)
     table = row.all(base)
@@ -114,8 +119,11 @@ def in_a_compose(row: Row) -> None:
         if hasattr(transform, "attach"):
             transform.attach(table)
     inverse = [t for t in table.values() if t.in_keys_inv]
-    rest = [t for t in table.values() if not t.in_keys_inv]
-    env = TransformedEnv(base, Compose(Compose(*reversed(inverse)), Compose(*rest)))
+    starts = [t for t in table.values() if "_reset_env_preprocess" in vars(type(t))]
+    starts = [t for t in starts if t not in inverse]
+    rest = [t for t in table.values() if t not in (*inverse, *starts)]
+    order = (Compose(*reversed(starts)), Compose(*reversed(inverse)), *rest)
+    env = TransformedEnv(base, Compose(*order))
     env.set_seed(0)
     found = run(env)
     assert_same(found.select(*expected.keys(True, True)), expected)
@@ -244,7 +252,7 @@ ON_DATA = {
     "`Compose` on data": in_a_compose_on_data,
 }
 COLUMNS = IN_ENVS | AROUND | ON_DATA
-SLOW = {"in `ParallelEnv`", "around `ParallelEnv`"}
+ALONE = ["in an env", "around `SerialEnv`", *ON_DATA]  # each row by itself, without -m slow
 
 
 def works(row: Row, column: str) -> bool:
@@ -262,17 +270,17 @@ def check(row: Row, column: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("column", [column for column in COLUMNS if column not in SLOW])
-@pytest.mark.parametrize("name", ROWS)
+def cells() -> list[Any]:
+    """Rows and columns; the slow ones are those of whole tables, for each row by itself."""
+    whole = [(name, column) for name in WHOLE for column in IN_ENVS]
+    sample = [(name, "around `ParallelEnv`") for name in ("late", "bits")]
+    quick = [*whole, *sample, *((name, column) for name in ROWS for column in ALONE)]
+    slow = [(name, c) for name in ROWS for c in COLUMNS if (name, c) not in set(quick)]
+    return [*quick, *(pytest.param(*cell, marks=pytest.mark.slow) for cell in slow)]
+
+
+@pytest.mark.parametrize(("name", "column"), cells())
 def test_a_transform_works_or_says_why_not(name, column):
-    check(Row(name), column)
-
-
-@pytest.mark.parametrize("column", sorted(SLOW))
-@pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[] if name in ("late", "bits") else pytest.mark.slow) for name in ROWS
-])  # fmt: skip
-def test_a_transform_works_or_says_why_not_in_processes(name, column):
     check(Row(name), column)
 
 
@@ -292,3 +300,34 @@ def test_no_transform_is_without_a_row():
     base = build_base()
     there = {type(Row(name).transform(base)).__name__ for name in ROWS}
     assert every_transform() - NOT_ROWS == there
+
+
+PAGE = Path(zfall.__file__).parents[1] / "docs" / "reference" / "transforms-matrix.md"
+BEGIN = "<!-- written by python -m tests.envs.transforms.test_matrix -->\n"
+
+
+def page() -> str:
+    """The table of the docs."""
+    lines = [
+        "| transform | in envs | around a batch of envs | on data | needs |",
+        "|---|---|---|---|---|",
+    ]
+    found = {}
+    for row in map(Row, ROWS):
+        transform = row.transform(base_to_build_with())
+        words = ["works" if works(row, c) else "refused" for c in ("clone", *AROUND, *ON_DATA)]
+        around, data = words[1], words[-1]
+        place = type(transform).__module__.removeprefix("zfall.").removeprefix("envs.transforms.")
+        needs = getattr(transform, "_needs", "") if row.on != DATA else ""
+        found[f"`{place.split('.')[0]}.{type(transform).__name__}`"] = (around, data, needs)
+    for name, (around, data, needs) in sorted(found.items()):
+        lines.append(f"| {name} | works | {around} | {data} | {needs} |")
+    return "\n".join(lines) + "\n"
+
+
+def test_the_docs_say_what_works():
+    assert PAGE.read_text().partition(BEGIN)[2] == page()
+
+
+if __name__ == "__main__":
+    PAGE.write_text("".join(PAGE.read_text().partition(BEGIN)[:2]) + page())

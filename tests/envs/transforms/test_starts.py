@@ -4,8 +4,10 @@ import mujoco
 import pytest
 import torch
 from torch.testing import assert_close
+from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
+from zfall.envs.make import make_env
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import NoisyStart, ReferenceStart, ScriptedStart
@@ -216,3 +218,20 @@ def test_clearance_below_the_floor_is_on_it(make_task):
 def test_bad_clearance_is_refused(make_base):
     with pytest.raises(ValueError, match=r"clearance must be \[smallest, largest\], got"):
         NoisyStart(make_base(), clearance=[0.02, 0.01])
+
+
+@pytest.mark.parametrize("put", ["table", "compose"])
+@pytest.mark.parametrize("late", ["noisy", "reference"])
+def test_a_start_that_would_replace_a_part_of_another_is_refused(make_base, put, late):
+    """The joints of standing in the pose of a fall."""
+    base = make_base(num_envs=2)
+    starts = {"reference": ReferenceStart(base), "noisy": NoisyStart(base)}
+    if late == "reference":
+        state = {"base_position": torch.zeros(2, 3)}
+        starts = {"given": ScriptedStart(base, states=state), "reference": ReferenceStart(base)}
+    if put == "table":
+        env = make_env(base, starts)
+    else:
+        env = TransformedEnv(base, Compose(*reversed(starts.values())))
+    with pytest.raises(ValueError, match=r"Start must act before the start .* got it after"):
+        env.reset()

@@ -28,6 +28,25 @@ def reset_rows(tensordict: TensorDictBase, transform: Transform | None = None) -
     return _get_reset("_reset", tensordict).reshape(tensordict.batch_size)
 
 
+def refuse_start(transform: Transform, tensordict: TensorDictBase, key: str) -> None:
+    """For a start that gives a part of the state: refuses one that others have given already.
+
+    Args:
+        transform: the start.
+        tensordict: of the reset, that it writes into.
+        key: ``("start", key)`` is what such a start has written and this one would not replace.
+
+    Raises:
+        ValueError: if the key is there.
+    """
+    if ("start", key) in tensordict.keys(True):
+        raise ValueError(
+            f"{type(transform).__name__} must act before the start that has written {key}, of "
+            "which it would replace a part alone, got it after; a Compose runs starts from its "
+            "last to its first, a table of make_env from its first to its last."
+        )
+
+
 def per_world(value: float | Tensor, dims: int) -> float | Tensor:
     """A number as it is; one per world ``(N,)`` with dimensions added behind, ``dims`` in all.
 

@@ -8,7 +8,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
-from zfall.envs.transforms.values import per_world, two_numbers
+from zfall.envs.transforms.values import per_world, refuse_start, two_numbers
 
 
 class NoisyStart(Transform):
@@ -26,7 +26,8 @@ class NoisyStart(Transform):
             [m], uniform; what is drawn below 0 is 0. On the floor if ``null``.
 
     Raises:
-        ValueError: on a negative standard deviation, or a clearance that is no range.
+        ValueError: on a negative standard deviation, or a clearance that is no range; at a
+            reset, after another start of the whole state.
     """
 
     replaced_in_batteries = True  # by starts of a battery
@@ -54,6 +55,7 @@ class NoisyStart(Transform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
+        refuse_start(self, tensordict, "base_orientation")
         # All rows are drawn, so that the random stream does not depend on who fell.
         noise = torch.randn(2, self.num_envs, len(self.stand), generator=base_env_of(self).rng)
         low, high = self.range.unbind(-1)

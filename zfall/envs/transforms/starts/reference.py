@@ -10,7 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
-from zfall.envs.transforms.values import per_world
+from zfall.envs.transforms.values import per_world, refuse_start
 from zfall.fingerprints import reads_files
 from zfall.motions.library import load_motions, motions_file
 from zfall.rotations import rotate, turned
@@ -37,7 +37,7 @@ class ReferenceStart(Transform):
 
     Raises:
         ValueError: on an unknown motion or none, a negative standard deviation, or a robot
-            without motions.
+            without motions; at a reset, after another start that gives a position of the base.
 
     Source: Duburcq et al., "Reactive stepping for humanoid robots using reinforcement learning",
     IROS 2022, section IV-B. The motions are our own; the size of the noise is not published.
@@ -84,6 +84,7 @@ class ReferenceStart(Transform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
+        refuse_start(self, tensordict, "base_position")
         # All rows are drawn, so that the random stream does not depend on who fell.
         motion = torch.randint(len(self.count), (self.num_envs,), generator=base_env_of(self).rng)
         phase, angle = torch.rand(2, self.num_envs, generator=base_env_of(self).rng)
