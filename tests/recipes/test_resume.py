@@ -151,3 +151,42 @@ def test_ctrl_c_ends_after_an_update_and_can_be_resumed(tmp_path):
     assert "resume=" in out.replace("\n", "")
     state = checkpoint.load(tmp_path / "checkpoints" / "last.pt")
     assert state["updates"] == len(pd.read_csv(metrics))
+
+
+def test_ctrl_c_amid_imports_says_so_in_one_line():
+    command = "import recipes, signal; signal.raise_signal(signal.SIGINT)"
+    done = subprocess.run([sys.executable, "-c", command], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == -signal.SIGINT  # as the shell expects it
+    assert done.stderr == "stopped\n"
+
+
+def test_ctrl_c_while_a_training_is_built_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(Learner, "__init__", lambda *_: signal.raise_signal(signal.SIGINT))
+    done = run("train", *TINY, f"hydra.run.dir={tmp_path}/run")
+    assert (done.returncode, done.stderr) == (130, "stopped\n")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_amid_a_save_leaves_a_sound_checkpoint(presses, tmp_path, monkeypatch):
+    """Once lets the update end; twice ends at once, with the checkpoint before."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert run("train", *TINY, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
+    write, writes = checkpoint.os.replace, []
+
+    def press(*paths):
+        writes.append(paths)
+        if len(writes) == 4:  # of best.pt or last.pt, after the second update
+            for _ in range(presses):
+                signal.raise_signal(signal.SIGINT)
+        return write(*paths)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint.os, "replace", press)
+        done = run("train", *TINY, "total_frames=128", f"hydra.run.dir={parts}")
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+    assert not list(parts.rglob("*.tmp"))
+    assert checkpoint.load(parts / "checkpoints" / "last.pt")["updates"] == 3 - presses
+    assert run("train", f"resume={parts}", f"hydra.run.dir={tmp_path}/x").returncode == 0
+    assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
