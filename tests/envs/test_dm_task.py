@@ -235,3 +235,22 @@ def test_a_picture_shows_the_robot(calm):
 def test_unknown_task_is_refused_and_names_those_there_are():
     with pytest.raises(ValueError, match=r"task must be one of .*push_recovery.*, got 'nope'"):
         load("nope")
+
+
+def test_an_action_that_is_not_finite_ends_the_episode_with_discount_0():
+    env = load("push_recovery", random=0)
+    env.reset()
+    action = np.zeros(20)
+    action[3] = np.nan
+    step = env.step(action)
+    assert step.last()
+    assert step.discount == 0.0
+    assert np.isfinite(step.observation["observation"]).all()
+
+
+def test_an_action_of_another_shape_is_refused():
+    env = load("push_recovery", random=0)
+    for shape in ((1,), (2, 10), (19,)):
+        env.reset()
+        with pytest.raises(ValueError, match=r"action must have the shape \(1, 20\)"):
+            env.step(np.zeros(shape))

@@ -14,6 +14,7 @@ from zfall.simulation import cpu as simulation
 from zfall.simulation.turns import others_turn
 from zfall.studies.store import training_digest
 from zfall.training.collection import Worlds, group_sizes
+from zfall.training.metrics import batch_metrics
 
 HARD = ("env=push_recovery_realistic", "env.transforms.limit.seconds=0.3",
         "env.transforms.push.interval=[0.0,0.1]")  # fmt: skip
@@ -119,3 +120,27 @@ def test_a_training_is_the_same_in_any_number_of_groups(compose_config):
     digests = {training_digest(compose_config(f"groups={n}")) for n in ("null", 1, 2)}
     assert len(digests) == 1
     assert training_digest(compose_config("seed=1")) not in digests
+
+
+def test_worlds_whose_action_is_not_finite_are_counted_and_nothing_else_of_them_is_seen(
+    compose_config,
+):
+    """One of four worlds is given NaN in the second of six steps."""
+    worlds, steps = Worlds(compose_config(*HARD).env, 4, groups=2), iter(range(100))
+
+    def spoilt(td: TensorDictBase) -> TensorDictBase:
+        td = steady(td)
+        if next(steps) == 2:  # of the first group, as groups are stepped one after the other
+            td["action"] = td["action"].index_fill(0, torch.tensor([1]), torch.nan)
+        return td
+
+    worlds.begin(seed=3)
+    batch = worlds.run(spoilt, 6, [*KEYS, ("next", "terminated"), ("next", "diverged")])
+    assert batch_metrics_of(batch, worlds)["diverged"] == 1
+    for key in [*KEYS, ("next", "reward")]:
+        assert batch[key].float().isfinite().all(), key
+
+
+def batch_metrics_of(batch: TensorDictBase, worlds: Worlds) -> dict[str, float]:
+    batch["next", "episode_reward"] = batch["next", "reward"]
+    return batch_metrics(batch, worlds.carrier, 0.04)

@@ -96,7 +96,7 @@ class TableTask(control.Task):
         """Plans the control step that ``physics.step`` then takes."""
         action = torch.from_numpy(np.array(action, dtype=np.float32))
         td = step_mdp(self._td) if "next" in self._td.keys() else self._td
-        td["action"] = action.reshape(1, -1)
+        td["action"] = action[None]
         physics.at_next_step(partial(self._advance, td))
 
     def _advance(self, td: TensorDictBase) -> None:
