@@ -8,11 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from mujoco import rollout
 from numpy.typing import NDArray
 from torch import Tensor
 
 from zfall.simulation.compiled import compiled, sound
+from zfall.simulation.thread_pool import ThreadPool
 from zfall.simulation.turns import others_turn
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -105,7 +105,7 @@ class Simulation:
     def _begin(self) -> None:
         """Makes the threads, and the views of what they work on."""
         model = self.model
-        self._pool = rollout.Rollout(nthread=self.threads)
+        self._pool = ThreadPool(self.threads)
         self._data = [mujoco.MjData(model) for _ in range(self.threads)]
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
