@@ -15,6 +15,7 @@ from zfall.policies.load import check_holds_run
 from zfall.simulation.model import identity_of
 from zfall.training.checks import check_config
 from zfall.training.learner import Learner
+from zfall.training.logging import quiet_threads
 from zfall.training.loop import number_of_updates, resumed_config, train, try_one_step
 from zfall.training.run_folder import (
     RunFolder,
@@ -43,7 +44,7 @@ def main(cfg: DictConfig) -> None:
             folder = Path(cfg.resume)
             check_holds_run(folder, "resume")
             remove_if_empty(made)  # it is not needed
-        with owned(folder):
+        with full_disk_named(folder), owned(folder), quiet_threads():
             train_in(folder, cfg, Console())
 
 
@@ -56,11 +57,10 @@ def train_in(folder: Path, cfg: DictConfig, console: Console) -> None:
         raise SystemExit(130)
     showcase = learner.cfg.showcase
     if showcase:
-        with full_disk_named(folder):
-            show(learner.cfg, learner.policy, untrained, folder, console)
-            if showcase.video and (folder / "video.mp4").exists():
-                for line in run.loggers.log_film(folder / "video.mp4", learner.frames):
-                    console.print(line, soft_wrap=True)
+        show(learner.cfg, learner.policy, untrained, folder, console)
+        if showcase.video and (folder / "video.mp4").exists():
+            for line in run.loggers.log_film(folder / "video.mp4", learner.frames):
+                console.print(line, soft_wrap=True)
     else:
         console.print(f"wrote {shown_path(folder)}", soft_wrap=True)
 

@@ -66,7 +66,7 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
     Raises:
         ValueError: if another process trains there.
     """
-    with owned(folder):
+    with full_disk_named(folder), owned(folder), quiet_threads():
         learner, run = Learner(cfg), RunFolder(folder, cfg)
         path = folder / "checkpoints" / "last.pt"
         if path.exists():
@@ -92,13 +92,7 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
     """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = number_of_updates(learner)
-    with (
-        full_disk_named(run.folder),
-        quiet_threads(),
-        progress_bar(console) as bar,
-        garbage_collector_of_new_things(),
-        first_ctrl_c() as stop,
-    ):
+    with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
         task = bar.add_task("train", total=total, completed=learner.updates, note="")
         while learner.updates < total:
             times = [time.perf_counter()]

@@ -114,12 +114,11 @@ class MuonAndAdam(torch.optim.Optimizer):
             kinds[parameter.ndim == 2].append(parameter)
         if not all(kinds.values()):
             raise ValueError("MuonAndAdam must have both matrices and other parameters to train.")
-        shared = {"lr": lr, "weight_decay": weight_decay}
+        shared: dict[str, Any] = {"lr": lr, "weight_decay": weight_decay}
+        own: dict[str, Any] = {"momentum": momentum, "adjust_lr_fn": "match_rms_adamw"}
         self._parts: list[torch.optim.Optimizer] = [
-            torch.optim.Muon(
-                kinds[True], momentum=momentum, adjust_lr_fn="match_rms_adamw", **shared
-            ),
-            torch.optim.AdamW(kinds[False], betas=tuple(betas), **shared),
+            torch.optim.Muon(kinds[True], **shared, **own),
+            torch.optim.AdamW(kinds[False], betas=betas, **shared),
         ]
         super().__init__(self._groups(), {})
 
