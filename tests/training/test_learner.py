@@ -694,7 +694,7 @@ FAULTS = [
     (["burn_in=8"], r"burn_in must lie in \[0, rollout_steps\), got 8"),
     (["burn_in=2"], "burn_in must be 0 without memory to refresh, got 2"),
     (["loss.normalize_advantage=epoch"], "must be minibatch, batch or null, got epoch"),
-    (["symmetry=loss", "env=zeroth_fall", "+env.transforms.stack={_target_: torchrl.envs.CatFrames, N: 2, dim: -1, in_keys: [observation], out_keys: [observation]}"],
+    (["symmetry=loss", "env=zeroth_fall", "+env.transforms.norm={_target_: torchrl.envs.ObservationNorm, loc: 0.5, scale: 2.0, in_keys: [observation]}"],
      "a mirrored observation must be one vector"),
     (["+auxiliary_losses.own={_target_: tests.training.test_learner.LossOfItsOwn}"],
      "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
