@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 import zfall
 from tests.shell import SMALL, TINY, run
-from zfall import checkpoint
+from zfall import checkpoint, migrations
 from zfall.evaluation.candidate import (
     Candidate,
     load_candidate,
@@ -123,3 +123,18 @@ def test_trials_are_read_under_the_same_conditions_alone(tmp_path, compose_confi
     others = [{"seed": 1}, {"battery": load_battery("planar", starts=2)}, {"candidate": noisy}]
     assert all(read_trials(path, conditions(**other)) is None for other in others)
     assert conditions(noisy) != conditions(noisy, num_envs=128)
+
+
+def test_trials_are_read_by_a_version_with_more_keys(tmp_path, compose_config, monkeypatch):
+    """A key of the env and one of the battery, each with a line in the table."""
+    battery = load_battery("planar", starts=1)
+    stored = Candidate("pose_hold", compose_config("num_envs=2").env, None)
+    conditions = stored.conditions(battery, seed=0, num_envs=64)
+    older = json.loads(json.dumps(conditions))
+    del older["config"]["env"]["base_env"]["physics_dt"]
+    del older["config"]["battery"]["planar"]["max_tilt"]
+    write_trials(tmp_path / "trials.csv", pd.DataFrame({"trial": [0]}), older)
+    assert read_trials(tmp_path / "trials.csv", conditions) is None
+    monkeypatch.setitem(migrations.MISSING, "env.base_env.physics_dt", 0.004)
+    monkeypatch.setitem(migrations.MISSING, "battery.*.max_tilt", battery.max_tilt)
+    assert read_trials(tmp_path / "trials.csv", conditions) is not None

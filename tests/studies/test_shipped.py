@@ -12,6 +12,7 @@ from rich.console import Console
 from tests.shell import run
 from zfall import migrations
 from zfall.configs import config_folder
+from zfall.moved import MOVED
 from zfall.studies import Study
 from zfall.studies.store import Store
 
@@ -90,18 +91,36 @@ def test_a_new_argument_that_is_the_default_of_its_class_orphans_nothing(results
 
 
 def test_a_renamed_key_orphans_nothing(results, tmp_path, monkeypatch):
-    renamed = ["experiment=quickstart_studied", "~env.transforms.noise"]
-    noise = "{_target_: zfall.envs.transforms.observations.ObservationNoise, std: {joint_position: 0.01, joint_velocity: 0.2, base_angular_velocity: 0.02, projected_gravity: 0.01}, before: observation}"
-    renamed += [f"+env.transforms.sensors={noise}", "~env.training_only.noise", "+env.training_only.sensors=true"]  # fmt: skip
+    renamed = [
+        "experiment=quickstart_studied", "~optimizer.lr", "+optimizer.rate=5e-4",
+        "~env.transforms.push.size", "+env.transforms.push.strength=[0.1,0.7]",
+    ]  # fmt: skip
     study = study_of("symmetry", base=renamed)
-    assert without_table(results, study, tmp_path)
-    key = "env.transforms.noise"
-    for old, new in ((key, "sensors"), ("env.training_only.noise", "sensors")):
-        monkeypatch.setitem(migrations.RENAMED, old, new)
-    missing = Store(results, tmp_path / "runs").nearest(
-        study_of("symmetry", base=renamed).plan[0].tests[0]
-    )
-    assert "noise" not in missing.partition("differs in")[2].replace("ObservationNoise", "")
+    assert len(without_table(results, study, tmp_path)) == len(study.plan)
+    monkeypatch.setitem(migrations.RENAMED, "optimizer.lr", "rate")
+    push = "zfall.envs.transforms.pushes.RandomPush"
+    monkeypatch.setitem(migrations.RENAMED, f"{push}.size", "strength")
+    assert without_table(results, study_of("symmetry", base=renamed), tmp_path) == []
+
+
+def test_a_moved_class_orphans_nothing(results, tmp_path, monkeypatch):
+    name = "+env.transforms.last_action._target_=zfall.envs.transforms.windows.Latest"
+    base = ["experiment=quickstart_studied", f"+{name}"]
+    assert without_table(results, study_of("symmetry", base=base), tmp_path)
+    old, new = "zfall.envs.transforms.windows.LastAction", name.partition("=")[2]
+    monkeypatch.setitem(MOVED, old, new)
+    assert without_table(results, study_of("symmetry", base=base), tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/tmp/evil", "''", "a/b", "[x]", "3"])
+def test_a_study_writes_nowhere_else(name, tmp_path):
+    places = [f"results={tmp_path}/a/b", f"runs={tmp_path}/a/runs"]
+    done = run("ablate", "study=symmetry", "rebuild=true", f"study.name={name}", *places)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: study.name must be the name of a file")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert not (tmp_path / "a" / "b").exists()
 
 
 def test_a_table_that_would_lose_runs_is_refused_and_stays(tmp_path):

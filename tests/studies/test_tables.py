@@ -70,6 +70,10 @@ def test_a_figure_that_could_not_be_counted_is_left_out_of_the_mean():
     assert cell.difference is None  # one pair says nothing
 
 
+def test_an_empty_table_has_its_columns():
+    assert list(as_frame({}))[:2] == ["row", "figure"]
+
+
 def test_a_frame_has_a_line_for_each_row_and_figure(table):
     frame = as_frame(table).set_index(["row", "figure"])
     assert len(frame) == 2 * len(FIGURES)

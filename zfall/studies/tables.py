@@ -74,19 +74,16 @@ def tables_of(runs: Sequence[Run], store: Store, figures: Figures) -> list[Table
     """
     tables = []
     for title, cells in arranged(runs).items():
-        lines: dict[str, list[pd.DataFrame]] = {row: [] for row, _, _ in cells}
+        lines: dict[str, list[dict[str, float]]] = {row: [] for row, _, _ in cells}
         missing: dict[str, str] = {}
         for row, run, test in cells:
             stored = store.find(test)
             if stored is not None:
-                lines[row].append(pd.DataFrame([{**stored.figures, "seed": run.seed}]))
+                lines[row].append({**stored.figures, "seed": run.seed})
             else:
                 missing[f"{row}, seed {run.seed}"] = store.why_missing(test)
-        nothing = pd.DataFrame(columns=["seed", *figures])
-        joined = {
-            row: pd.concat(parts, ignore_index=True) if parts else nothing
-            for row, parts in lines.items()
-        }
+        columns = ["seed", *figures]  # a figure that is newer than a result is NaN there
+        joined = {row: pd.DataFrame(each).reindex(columns=columns) for row, each in lines.items()}
         tables.append(Table(title, study_table(joined, figures), missing))
     return tables
 

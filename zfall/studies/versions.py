@@ -1,6 +1,7 @@
 """Which code made a result."""
 
 import subprocess
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -12,11 +13,14 @@ PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 def versions() -> dict[str, str]:
     """Versions of the packages; of a clone also its ``commit``, ``-dirty`` if files differ."""
     found = {name: version(name) for name in PACKAGES}
-    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
-    try:
-        done = subprocess.run(
-            command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10
-        )
-    except (OSError, subprocess.SubprocessError):
-        return found
-    return found | ({"commit": done.stdout.strip()} if done.returncode == 0 else {})
+    with suppress(OSError, subprocess.SubprocessError):
+        _git("ls-files", "--error-unmatch", __file__)  # else another repository is around us
+        found["commit"] = _git("describe", "--always", "--dirty", "--exclude=*").strip()
+    return found
+
+
+def _git(*arguments: str) -> str:
+    """What git prints; raises if it fails."""
+    where = {"cwd": Path(__file__).parent, "timeout": 10}
+    done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=True, **where)
+    return done.stdout

@@ -67,7 +67,13 @@ def check_keeps_all(path: Path, frame: pd.DataFrame, why: Callable[[str], str]) 
     """
     if not path.exists() or not path.read_text().strip():
         return
-    before, after = _finished(pd.read_csv(path)), _finished(frame)
+    old = pd.read_csv(path)
+    if "row" not in old:
+        raise ValueError(
+            f"{path} must be the table of a study to be replaced, got one with columns "
+            f"{', '.join(map(str, old))}; force=true replaces it all the same."
+        )
+    before, after = _finished(old), _finished(frame)
     lost = {row: count - after.get(row, 0) for row, count in before.items()}
     lost = {row: count for row, count in lost.items() if count > 0}
     if lost:
