@@ -15,16 +15,17 @@ from zfall.studies import Study
 from zfall.studies.execute import execute
 from zfall.studies.launch import sweep
 from zfall.studies.store import Store
+from zfall.trust import trusting
 
 from .shell import one_line_errors, start
 
-KEYS = {"study", "results", "runs", "rebuild", "force", "launcher", "jobs"}
+KEYS = {"study", "results", "runs", "rebuild", "force", "launcher", "jobs", "trust"}
 
 
 @hydra.main(version_base=None, config_path=".", config_name="ablate")
 def main(cfg: DictConfig) -> None:
     """Runs what is missing and writes ``NAME.{md,csv,tex,png,pdf}`` into ``results``."""
-    with one_line_errors():
+    with one_line_errors(), trusting(cfg.trust):
         study = checked(cfg)
         plan = study.plan
         results, runs = Path(cfg.results), Path(cfg.runs)

@@ -161,8 +161,8 @@ def _forbidden(text: str) -> str | None:
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST or number > _MOST_EVENTS:
             return f"more than {_DEEPEST} levels or {_MOST_EVENTS} parts"
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            return f"the alias {_shown(event.anchor)}"
+        if anchor := getattr(event, "anchor", None):  # of an alias, too
+            return f"the alias {_shown(anchor)}"
         if (tag := getattr(event, "tag", None)) is not None:
             return f"the tag {_shown(tag)}"
     return None
