@@ -146,12 +146,13 @@ def _imported(path: str) -> Any:
 
 
 @cache
-def _defaults(built: Any) -> Mapping[str, dict[str, str]]:
+def _defaults(built: Any) -> Mapping[str | int, dict[str, str]]:
     """The defaults of the arguments of a class or function, in normal form."""
     if not callable(built):
         return {}
     try:
-        signature = inspect.signature(built.__init__ if isinstance(built, type) else built)
+        made_by: Any = built.__init__ if inspect.isclass(built) else built
+        signature = inspect.signature(made_by)
     except (TypeError, ValueError):  # compiled
         return {}
     given = {name: each.default for name, each in signature.parameters.items()}

@@ -123,7 +123,7 @@ def _runs(study: "Study", battery: Battery, worlds: Sequence[_World], row: str) 
             for each, those in zip(inputs, others, strict=True):
                 each |= known | {"others": [training_inputs(other) for other in those]}
     for seed, cfg, those, each in zip(seeds, configs, others, inputs, strict=True):
-        tests = tuple(Test(title, env_cfg, each | more) for title, env_cfg, more in worlds)
+        tests = tuple(Test(title, env_cfg, {**each, **more}) for title, env_cfg, more in worlds)
         run = Run(str(row), seed, cfg, partner, those, tests)
         _check_partner(run)
         yield run
@@ -131,9 +131,12 @@ def _runs(study: "Study", battery: Battery, worlds: Sequence[_World], row: str) 
 
 def _check_partner(run: Run) -> None:
     """Refuses what a policy is tested with if it would fail in a test."""
-    for test in run.tests if run.tested_with is not None else ():
+    partner = run.tested_with
+    if partner is None:
+        return
+    for test in run.tests:
         with of(f"study.tests.{test.title}" if test.title else f"study.tested_with.{run.row}"):
-            run.tested_with.check(run.cfg, run.others, in_test(test, run.cfg.env))
+            partner.check(run.cfg, run.others, in_test(test, run.cfg.env))
 
 
 def _worlds(study: "Study") -> list[_World]:

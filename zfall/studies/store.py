@@ -148,7 +148,7 @@ def lines_of(entry: Mapping[str, Any], before: str = "") -> str:
         entry: the result, with all that it follows from in full.
         before: the text of the file so far.
     """
-    entry, lines = strict(entry), []
+    lines: list[str] = []
 
     def shared(kind: str, value: Any) -> str:
         name = digest(value)
@@ -157,12 +157,13 @@ def lines_of(entry: Mapping[str, Any], before: str = "") -> str:
             lines.append(line)
         return name
 
+    own: dict[str, Any] = strict(entry)
     for kind in _SHARED:
-        if kind in entry:
-            entry[kind] = shared(kind, entry[kind])
-    if "others" in entry:
-        entry["others"] = [shared("training", other) for other in entry["others"]]
-    return "".join(f"{line}\n" for line in [*lines, json.dumps(entry)])
+        if kind in own:
+            own[kind] = shared(kind, own[kind])
+    if "others" in own:
+        own["others"] = [shared("training", other) for other in own["others"]]
+    return "".join(f"{line}\n" for line in [*lines, json.dumps(own)])
 
 
 def read(path: Path) -> Iterator[Stored]:

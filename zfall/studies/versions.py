@@ -21,6 +21,12 @@ def versions() -> dict[str, str]:
 
 def _git(*arguments: str) -> str:
     """What git prints; raises if it fails."""
-    where = {"cwd": Path(__file__).parent, "timeout": 10}
-    done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=True, **where)
+    done = subprocess.run(
+        ["git", *arguments],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=10,
+    )
     return done.stdout
