@@ -100,11 +100,10 @@ def test_a_restored_env_goes_on_bit_for_bit_with_everything_on(steps):
 def check_restored(table, steps: int, seed: int) -> None:
     env, other = build(table), build(table)
     _, td = run(env, env.reset(), steps, seed)
-    base, transforms, carrier = env.base_env.state_dict(), env.transform.state_dict(), td.clone()
+    state, carrier = env.state_dict(), td.clone()
     expected, _ = run(env, td, 10, seed + 1)
     run(other, other.reset(), 2, seed + 2)  # somewhere else by now
-    other.base_env.load_state_dict(base)
-    other.transform.load_state_dict(transforms)
+    other.load_state_dict(state)
     found, _ = run(other, carrier, 10, seed + 1)
     for one, two in zip(expected, found, strict=True):
         equal(one, two)
