@@ -61,6 +61,7 @@ SGD = ("optimizer._target_=torch.optim.SGD", "+optimizer.momentum=0.9")
 LEARNING = {
     "Muon": MUON,
     "SGD": SGD,
+    "lists": ("+optimizer.betas=[0.8,0.99]", *scheduler("MultiStepLR", milestones="[1,2]")),
     "Muon, StepLR": (*MUON, *scheduler("StepLR", step_size=1, gamma=0.5)),
     **{name: scheduler(name, **values) for name, (values, _) in RATES.items()},
 }

@@ -17,6 +17,7 @@ from zfall.evaluation.baselines import baseline_names, load_baseline, passive
 from zfall.evaluation.battery import starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
+from zfall.files import written_whole
 from zfall.fingerprints import weights_digest
 from zfall.meaning import meaning, strict
 from zfall.policies.load import Policy, checkpoint_of, load_policy, shipped
@@ -175,10 +176,10 @@ def write_trials(path: Path, trials: pd.DataFrame, conditions: dict[str, Any]) -
     """Writes trials, and their conditions into a JSON file of the same name; never half a row."""
     given = path.with_suffix(".json")
     given.unlink(missing_ok=True)  # trials without it count for nothing
-    trials.to_csv(path.with_suffix(".tmp"), index=False)
-    path.with_suffix(".tmp").replace(path)
-    path.with_suffix(".tmp").write_text(json.dumps(conditions))
-    path.with_suffix(".tmp").replace(given)
+    with written_whole(path) as new:
+        trials.to_csv(new, index=False)
+    with written_whole(given) as new:
+        new.write_text(json.dumps(conditions))
 
 
 def read_trials(path: Path, conditions: dict[str, Any]) -> pd.DataFrame | None:

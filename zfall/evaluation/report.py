@@ -14,6 +14,7 @@ import pandas as pd
 from jinja2 import Environment
 
 from zfall.commands import shell_line
+from zfall.files import written_whole
 from zfall.trust import texts_of_file
 
 PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
@@ -73,8 +74,8 @@ def write_report(folder: Path, command: str = "") -> Path:
         .render(title=f"{folder.name}", subtitle=f"{versions}; {frames}", sections=sections)
     )
     path = folder / "report.html"
-    path.with_suffix(".tmp").write_text(page)
-    path.with_suffix(".tmp").replace(path)
+    with written_whole(path) as new:
+        new.write_text(page)
     return path
 
 

@@ -2,11 +2,12 @@
 
 import csv
 import io
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from zfall.files import written_whole
 
 
 def append_row(path: Path, row: dict[str, Any]) -> list[str]:
@@ -22,7 +23,8 @@ def append_row(path: Path, row: dict[str, Any]) -> list[str]:
             there = list(reader.fieldnames or ())
             if there != columns:
                 columns += [name for name in there if name not in row]
-                write_whole(path, _as_csv(columns, reader))
+                with written_whole(path) as new:
+                    new.write_text(_as_csv(columns, reader))
         row = dict.fromkeys(columns) | row
     else:
         path.write_text(_as_csv(columns, ()))
@@ -56,20 +58,9 @@ def keep_rows(path: Path, columns: Sequence[str], updates: int) -> int:
     if not rows:
         path.unlink(missing_ok=True)  # the next row brings the header
     elif text.encode() != old:
-        write_whole(path, text)
+        with written_whole(path) as new:
+            new.write_text(text)
     return updates - len(rows)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Writes a file whole or not at all: whatever happens, the old one or the new one is there."""
-    temporary = path.with_suffix(".tmp")
-    try:
-        temporary.write_text(text)
-        os.replace(temporary, path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
 
 
 def _rows_of(lines: Sequence[str], columns: int) -> Iterator[tuple[int, str]]:
