@@ -4,30 +4,50 @@ A study is a yaml: a base, rows of overrides, seeds, a battery, a budget. What i
 run again, what was cut goes on, a run that fails is marked and the others go on.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import hydra
 from omegaconf import DictConfig
 
-from zfall.errors import check_flags, check_keys
-from zfall.studies import Study
-from zfall.studies.execute import execute
-from zfall.studies.launch import sweep
-from zfall.studies.store import Store
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
+from zfall.values import Name, Whole
 
-from .shell import one_line_errors, start
+from .shell import check_recipe, one_line_errors, start
 
-KEYS = {"study", "results", "runs", "rebuild", "force", "launcher", "jobs", "trust"}
+if TYPE_CHECKING:
+    from zfall.studies import Study
+
+
+class Keys(TypedDict):
+    """The keys of ``ablate.yaml``."""
+
+    study: Mapping[str, Any]
+    results: Name
+    runs: Name
+    rebuild: bool
+    force: bool
+    launcher: Name
+    jobs: Whole | None
+    trust: Sequence[Name]
 
 
 @hydra.main(version_base=None, config_path=".", config_name="ablate")
 def main(cfg: DictConfig) -> None:
     """Runs what is missing and writes ``NAME.{md,csv,tex,png,pdf}`` into ``results``."""
+    with one_line_errors():
+        check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
         study = checked(cfg)
         plan = study.plan
+    with one_line_errors(SPOKEN), trusting(cfg.trust):
+        from zfall.studies.execute import execute
+        from zfall.studies.launch import sweep
+        from zfall.studies.store import Store
+
         results, runs = Path(cfg.results), Path(cfg.runs)
         if cfg.jobs is not None:  # in a launcher's process
             execute(study, plan[int(cfg.jobs)], Store(results, runs))
@@ -41,17 +61,15 @@ def main(cfg: DictConfig) -> None:
         print((results / f"{study.name}.md").read_text())
 
 
-def checked(cfg: DictConfig) -> Study:
+def checked(cfg: DictConfig) -> "Study":
     """The study of a config of this recipe.
 
     Raises:
         ValueError: on a bad value, naming the key.
     """
-    check_keys(cfg, KEYS)
-    check_flags(cfg, ["rebuild", "force"])
-    for key in ("results", "runs"):
-        if not isinstance(cfg[key], str):
-            raise ValueError(f"{key} must be the name of a folder, got {cfg[key]}.")
+    check_recipe(cfg, Keys)
+    from zfall.studies import Study
+
     return Study.from_config(cfg.study)
 
 

@@ -1,34 +1,35 @@
 """Speed against the bare physics and against peers, in one run: ``python -m recipes.bench``."""
 
 import json
-import math
 import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
 
 import hydra
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.console import Console
-from rich.table import Table
 
 from zfall.configs import compose_config, config_folder
-from zfall.errors import check_flags, check_keys, check_number
-from zfall.training.learner import Learner
-from zfall.training.run_folder import write_config
-from zfall.training.speed import (
-    EnvStepper,
-    Task,
-    bare_physics,
-    bare_physics_together,
-    in_rounds,
-    loss_shares,
-    whole_training,
-)
+from zfall.values import Count, Name, Positive, Seed
 
-from .shell import one_line_errors, start
+from .shell import check_recipe, one_line_errors, start
+
+if TYPE_CHECKING:
+    from zfall.training.speed import Task
+
+
+class Keys(TypedDict):
+    """The keys of ``bench.yaml``."""
+
+    num_envs: Count
+    seconds: Positive
+    rollout_steps: Count
+    seed: Seed
+    only: Name | None
+    peers: bool
+
 
 FULL = "env=push_recovery_realistic"  # every kind of transform at once
 LOSSES = ["caps=atalante", "symmetry=loss"]  # added to PPO's
@@ -37,16 +38,22 @@ LOSSES = ["caps=atalante", "symmetry=loss"]  # added to PPO's
 @hydra.main(version_base=None, config_path=".", config_name="bench")
 def main(cfg: DictConfig) -> None:
     """Prints the ratios and writes ``bench.json`` into the run folder."""
+    with one_line_errors():
+        check_recipe(cfg, Keys)
+    from rich.console import Console
+    from rich.table import Table
+
+    from zfall.training.run_folder import write_config
+    from zfall.training.speed import measure_experiment
+
     console = Console()
     with one_line_errors(), console.status("setting up") as status:
-        check_keys(cfg, {"num_envs", "seconds", "rollout_steps", "seed", "peers", "only"})
-        check_flags(cfg, ["peers"])
-        check_number(cfg.seconds, "seconds", lambda x: 0 < x < math.inf, "be positive and finite")
         if cfg.peers and cfg.only is None and not peers_are_there():
             cfg.peers = False
             console.print("peers are left out: benchmarks/ comes with a clone, not with the wheel")
-        measuring = measure if cfg.only is None else measure_experiment
-        results = measuring(cfg, lambda name: status.update(f"measuring {name}"))
+        results = (measure if cfg.only is None else measure_experiment)(
+            cfg, lambda name: status.update(f"measuring {name}")
+        )
     folder = Path(HydraConfig.get().runtime.output_dir)
     write_config(cfg, HydraConfig.get().overrides.task, folder)
     (folder / "bench.json").write_text(json.dumps(results, indent=2))
@@ -62,6 +69,9 @@ def main(cfg: DictConfig) -> None:
 
 def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     """All figures, by the names of ``bench.json``; ``report`` is called with what comes next."""
+    from zfall.training import speed
+    from zfall.training.learner import Learner
+
     overrides = [f"{k}={cfg[k]}" for k in ("num_envs", "rollout_steps", "seed")]
     networks = {"mlp": [], "gru": ["actor=gru_mog"]}
     networks |= {f"{name}_losses": [*LOSSES, *more] for name, more in networks.items()}
@@ -69,56 +79,41 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     for learner in learners.values():  # warm up, and have policies that move
         learner.learn(learner.collect())
     mlp, full_cfg = learners["mlp"], compose_config([*overrides, FULL])
-    stepper, full_stepper = (EnvStepper(c, mlp, c.groups) for c in (mlp.cfg, full_cfg))
-    undivided = EnvStepper(mlp.cfg, mlp, 1)
+    stepper, full_stepper = (speed.EnvStepper(c, mlp, c.groups) for c in (mlp.cfg, full_cfg))
+    undivided = speed.EnvStepper(mlp.cfg, mlp, 1)
     recorded, full_recorded = stepper.record(), full_stepper.record()
     tasks: dict[str, Task] = {
-        "limit": partial(bare_physics, stepper.base_env, *recorded),
-        "limit_full": partial(bare_physics, full_stepper.base_env, *full_recorded),
-        "limit_together": partial(bare_physics_together, stepper.base_env, *recorded),
+        "limit": partial(speed.bare_physics, stepper.base_env, *recorded),
+        "limit_full": partial(speed.bare_physics, full_stepper.base_env, *full_recorded),
+        "limit_together": partial(speed.bare_physics_together, stepper.base_env, *recorded),
         "env": stepper.run,
         "env_undivided": undivided.run,
         "env_full": full_stepper.run,
-        **{f"train_{name}": partial(whole_training, learner) for name, learner in learners.items()},
+        **{
+            f"train_{name}": partial(speed.whole_training, learner)
+            for name, learner in learners.items()
+        },
     }
-    results = in_rounds(tasks, cfg.seconds, report)
+    results = speed.in_rounds(tasks, cfg.seconds, report)
     for name in ("env", "env_undivided", *(name for name in tasks if name.startswith("train"))):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
     # Its physics has a ball too, that rests on the floor of every world.
     results["env_full_efficiency"] = results["env_full"] / results["limit_full"]
     report("losses")
     for name in ("mlp", "gru"):
-        shares = loss_shares(learners[f"{name}_losses"])
+        shares = speed.loss_shares(learners[f"{name}_losses"])
         results |= {f"loss/{k}_{name}": v for k, v in shares.items()}
     report("transforms")
     results |= full_stepper.transform_shares(cfg.seconds / 2)
     if cfg.peers:
+        import torch
+
         from benchmarks.peers import measure_peers, memory_per_world
 
         report("memory")
         results["memory_per_world"] = memory_per_world()
         results |= measure_peers(torch.stack(stepper.actions), cfg.seconds / 2, report)
     return results
-
-
-def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
-    """Limit, env and training of one experiment, its env driven by its own untrained policy."""
-    overrides = [f"experiment={cfg.only}", f"num_envs={cfg.num_envs}", f"seed={cfg.seed}"]
-    learner = Learner(compose_config(overrides))
-    stepper, undivided = (EnvStepper(learner.cfg, learner, n) for n in (learner.cfg.groups, 1))
-    recorded = stepper.record()
-    tasks: dict[str, Task] = {
-        "limit": partial(bare_physics, stepper.base_env, *recorded),
-        "limit_together": partial(bare_physics_together, stepper.base_env, *recorded),
-        "env": stepper.run,
-        "env_undivided": undivided.run,
-        "train": partial(whole_training, learner),
-    }
-    results = in_rounds(tasks, cfg.seconds, report)
-    for name in ("env", "env_undivided", "train"):
-        results[f"{name}_efficiency"] = results[name] / results["limit"]
-    report("transforms")
-    return results | stepper.transform_shares(cfg.seconds / 2)
 
 
 def peers_are_there() -> bool:

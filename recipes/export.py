@@ -9,35 +9,41 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypedDict
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.progress import Progress, TimeElapsedColumn
 
 from zfall.commands import remove_if_empty, shown_path
-from zfall.errors import check_keys
-from zfall.evaluation.battery import battery_env
-from zfall.evaluation.candidate import load_candidate
-from zfall.evaluation.definitions import load_battery
-from zfall.evaluation.exported import compare_planar
-from zfall.policies.export import describe, export
 from zfall.trust import trusting
 
-from .shell import one_line_errors, start
+from .shell import Changes, Checkpoint, Run, Starts, check_recipe, one_line_errors, start
+
+
+class Keys(TypedDict):
+    """The keys of ``export.yaml``."""
+
+    run: Run
+    checkpoint: Checkpoint
+    trust: Changes
+    change: Changes
+    planar: Starts
 
 
 @hydra.main(version_base=None, config_path=".", config_name="export")
 def main(cfg: DictConfig) -> None:
     """Writes ``policy.onnx`` and ``policy.json``."""
     output = Path(HydraConfig.get().runtime.output_dir)
+    with one_line_errors():
+        check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
-        check_keys(cfg, {"run", "checkpoint", "change", "planar", "trust"})
+        from zfall.evaluation.battery import battery_env
+        from zfall.evaluation.candidate import load_candidate
+        from zfall.evaluation.definitions import load_battery
+        from zfall.policies.export import describe, export
+
         starts = cfg.planar
-        if starts is not None and (type(starts) is not int or starts < 1):
-            raise ValueError(
-                f"planar must be a number of starts per cell, at least 1, got {starts}."
-            )
         policy = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
         if policy.actor is None:
             raise ValueError(f"run must hold a policy, {cfg.run} is a baseline.")
@@ -58,6 +64,10 @@ def main(cfg: DictConfig) -> None:
     print(f"to drive the robot: {python} docs/drive.py {place}/policy.onnx {place}/policy.json")
     if starts is None:
         return
+    from rich.progress import Progress, TimeElapsedColumn
+
+    from zfall.evaluation.exported import compare_planar
+
     with one_line_errors(), Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
 
         def follow(name: str) -> Callable[[int, int], None]:

@@ -4,27 +4,32 @@
 ``docs/reference/motions.md``.
 """
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
-
-from zfall.envs.open_loop import KINDS, Walked, follow, pose_hold
-from zfall.motions.gaits import Gait
-from zfall.motions.library import GAITS, make_motions, motions_file, save_motions
-from zfall.robots import ZEROTH01
+from typing import TYPE_CHECKING
 
 from .shell import start
+
+if TYPE_CHECKING:
+    from zfall.envs.open_loop import Walked
+    from zfall.motions.gaits import Gait
 
 
 def main(seconds: float = 10.0) -> None:
     """Writes the motions and prints what becomes of a robot that starts in them."""
-    motions = make_motions(ZEROTH01, GAITS)
-    path = motions_file(ZEROTH01)
-    save_motions(motions, path)
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from zfall.envs.open_loop import KINDS, follow, pose_hold
+    from zfall.motions import library
+    from zfall.robots import ZEROTH01
+
+    motions = library.make_motions(ZEROTH01, library.GAITS)
+    path = library.motions_file(ZEROTH01)
+    library.save_motions(motions, path)
     table = Table(title=f"{path.name}: shortest time on the feet, and mean speed, by command")
     for column in ("motion", "step, mm", "joints, rad/s", *KINDS, "standing pose"):
         table.add_column(column, justify="right")
-    for name, gait in GAITS.items():
+    for name, gait in library.GAITS.items():
         fastest = np.abs(motions[name].states["joint_velocity"]).max()
         followed = [_cell(gait, follow(gait, kind, seconds=seconds)) for kind in KINDS]
         hold = pose_hold(gait, seconds=seconds)
@@ -33,7 +38,7 @@ def main(seconds: float = 10.0) -> None:
     Console(width=140).print(table)
 
 
-def _cell(gait: Gait, walked: Walked) -> str:
+def _cell(gait: "Gait", walked: "Walked") -> str:
     turn = f"{walked.turn_rate.mean():.2f} rad/s"
     speed = f"{walked.speed.mean():.3f} m/s"
     return f"{walked.seconds.min():.1f} s  {turn if gait.turn_rate else speed}"

@@ -2,37 +2,63 @@
 
 import json
 from pathlib import Path
+from typing import Any, NotRequired, TypedDict
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
-from rich.progress import track
-from torchrl.modules.utils import get_primers_from_module
 
 from zfall.commands import remove_if_empty, shown_path
-from zfall.envs.make import left_out
-from zfall.envs.tables import keep
-from zfall.errors import check_flags, check_keys, check_lists, check_number, check_whole
-from zfall.evaluation.baselines import baseline_names
-from zfall.evaluation.battery import BLOCK
-from zfall.evaluation.candidate import load_candidate
-from zfall.evaluation.play import walk
-from zfall.evaluation.video import film, frame
-from zfall.modules.actors import recurrent_keys
 from zfall.trust import trusting
+from zfall.values import Count, Node, Positive, Seed
 
-from .shell import choice, one_line_errors, servo_change, start
+from .shell import (
+    Changes,
+    Checkpoint,
+    Run,
+    check_recipe,
+    choice,
+    one_line_errors,
+    servo_change,
+    start,
+)
 
-KEYS = {"run", "checkpoint", "env", "num_envs", "seconds", "seed", "keep", "video", "trust"}
+
+class Keys(TypedDict):
+    """The keys of ``play.yaml``."""
+
+    run: Run | None
+    checkpoint: Checkpoint
+    env: NotRequired[Node | None]
+    num_envs: Count
+    seconds: Positive
+    seed: Seed
+    trust: Changes
+    keep: Changes
+    servo: NotRequired[Any]
+    video: bool
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
 def main(cfg: DictConfig) -> None:
     """Writes ``play.json`` and ``play.mp4`` into the run folder, or hydra's if there is none."""
-    console = Console()
+    with one_line_errors():
+        check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
+        from hydra.utils import instantiate
+        from rich.console import Console
+        from rich.progress import track
+        from torchrl.modules.utils import get_primers_from_module
+
+        from zfall.envs.make import left_out
+        from zfall.envs.tables import keep
+        from zfall.evaluation.battery import BLOCK
+        from zfall.evaluation.candidate import load_candidate
+        from zfall.evaluation.play import walk
+        from zfall.evaluation.video import film, frame
+        from zfall.modules.actors import recurrent_keys
+
+        console = Console()
         check_values(cfg)
         given = {"task": cfg.env} if choice("env") else {}
         player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=servo_change(), **given)
@@ -78,17 +104,13 @@ def main(cfg: DictConfig) -> None:
 
 def check_values(cfg: DictConfig) -> None:
     """Refuses values that make no sense."""
-    check_keys(cfg, KEYS)
+    from zfall.evaluation.baselines import baseline_names
+
     names = baseline_names()
     if cfg.run is None:
         raise ValueError(f"run must be a run folder, a policy that ships or {' or '.join(names)}.")
     if cfg.run not in names and choice("env"):
         raise ValueError(f"env must be given for baselines alone, {cfg.run} has its own.")
-    check_lists(cfg, ["keep"])
-    check_whole(cfg, ["num_envs"], 1)
-    check_whole(cfg, ["seed"])
-    check_flags(cfg, ["video"])
-    check_number(cfg.seconds, "seconds", lambda x: x > 0, "be positive")
 
 
 if __name__ == "__main__":

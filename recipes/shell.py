@@ -3,44 +3,98 @@
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Annotated, Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, InstantiationException
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from zfall.commands import remove_if_empty
-from zfall.errors import in_one_line
+from zfall.complaints import check_table
+from zfall.configs import config_folder, plain_containers
+from zfall.errors import SPOKEN, in_one_line
+from zfall.help import help_of
+from zfall.values import Count, Name, Rule, one_of
+
+TRACEBACK = "ZFALL_TRACEBACK"  # set to 1 it shows where an error came from
+
+
+Checkpoint = Annotated[str, one_of("last", "best")]
+Run = Annotated[str, Rule("be a run folder or a name", lambda x: bool(x.strip()) and "\0" not in x)]
+Changes = Sequence[Name]
+Starts = Count | None
 
 
 def start(main: Callable[[], None]) -> None:
     """Runs a recipe's main from the shell, hydra's own errors included."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        module = sys.modules[main.__module__]
+        script = Path(str(module.__file__)).with_suffix("").relative_to(config_folder())
+        print(help_of(".".join(script.parts), module.__doc__ or ""))
+        return
     os.environ["HYDRA_FULL_ERROR"] = "1"  # else hydra prints errors its own way, on many lines
     logging.getLogger("hydra.utils").setLevel(logging.CRITICAL)  # it also logs what it raises
-    with one_line_errors():
+    with one_line_errors(SPOKEN):
         try:
-            main()
+            composed_first(main)
         except KeyboardInterrupt:
             print("stopped", file=sys.stderr)
             raise SystemExit(130) from None
 
 
+def composed_first(main: Callable[[], None]) -> None:
+    """Runs a recipe's main; what goes wrong before hydra has its config lies in the words given.
+
+    Raises:
+        ValueError: naming them, if hydra does not.
+    """
+    HydraConfig.instance().cfg = None  # of a recipe before in this process
+    try:
+        main()
+    except Exception as error:
+        if HydraConfig.initialized() or isinstance(error, SPOKEN):
+            raise
+        words = " ".join(word for word in sys.argv[1:] if "=" in word or word.startswith("~"))
+        raise ValueError(
+            f"{words or 'the config'} must be keys and values that hydra can put together, got "
+            f"{in_one_line(error)}; an entry of a list is changed by giving the whole list."
+        ) from error
+
+
 @contextmanager
-def one_line_errors() -> Iterator[None]:
+def one_line_errors(kinds: tuple[type[Exception], ...] = (Exception,)) -> Iterator[None]:
     """Ends the program with exit code 1 and one line for errors that the user can repair.
 
-    The folder that hydra has made for it goes too, if it is empty.
+    While a recipe sets up what a config says that may be any error: the line then names its kind,
+    and how to see where it came from. The folder that hydra has made goes too, if it is empty.
+
+    Args:
+        kinds: of errors; once a recipe works, others than those that speak for themselves are
+            faults of the program, and stay what they are.
     """
-    known = (InstantiationException, ValueError, OSError, HydraException, OmegaConfBaseException)
     try:
         yield
-    except known as error:
+    except kinds as error:
+        if os.environ.get(TRACEBACK) == "1":
+            raise
         if HydraConfig.initialized():
             with suppress(OmegaConfBaseException):  # it failed before it had a folder
                 remove_if_empty(Path(HydraConfig.get().runtime.output_dir))
-        raise SystemExit(f"error: {in_one_line(error)}") from None
+        line = in_one_line(error)
+        where = "" if isinstance(error, SPOKEN) else f" ({TRACEBACK}=1 shows where it came from)"
+        raise SystemExit(f"error: {line}{where}") from None
+
+
+def check_recipe(cfg: DictConfig, keys: Any) -> None:
+    """Refuses a composed config that is not what the ``TypedDict`` of a recipe says.
+
+    Raises:
+        ValueError: naming the key.
+    """
+    check_table(plain_containers(cfg), keys)
 
 
 def choice(group: str) -> str | None:

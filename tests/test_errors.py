@@ -11,7 +11,7 @@ BEST, POSE = "run=best", "run=pose_hold"
     ("recipe", "given", "message"),
     [
         ("falling.falls", [POSE, "impulses=0.8"], "impulses must be a list, [0.8], got 0.8."),
-        ("falling.falls", [POSE, "times=0.08"], "times must be a list, [0.08], got 0.08."),
+        ("falling.falls", [POSE, "times=0.08"], "times must be a list, [0.08], or null, got 0.08."),
         ("falling.falls", [POSE, "seed=x"], "seed must be a whole number, got x."),
         ("falling.falls", [POSE, "change=x"], "change must be a list, [x], got x."),
         (
@@ -24,7 +24,7 @@ BEST, POSE = "run=best", "run=pose_hold"
         (
             "falling.catches",
             ["falls=README.md", "spread=x"],
-            "spread must be positive and finite, got x.",
+            "spread must be a number, got x.",
         ),
         (
             "falling.switch",
@@ -34,13 +34,13 @@ BEST, POSE = "run=best", "run=pose_hold"
         (
             "falling.switch",
             ["recover=best", "kneel=script", "checkpoint=3"],
-            "checkpoint must be last or",
+            "checkpoint must be text, got 3.",
         ),
         ("play", [BEST, "video=3"], "video must be true or false, got 3."),
-        ("play", [BEST, "seed=-1"], "seed must be at least 0, got -1."),
+        ("play", [BEST, "seed=-1"], "seed must be at least 0 and below 2^63, got -1."),
         ("export", [BEST, "change=3"], "change must be a list, [3], got 3."),
-        ("bench", ["seconds=x"], "seconds must be positive and finite, got x."),
-        ("ablate", ["study=control", "results=3"], "results must be the name of a folder, got 3."),
+        ("bench", ["seconds=x"], "seconds must be a number, got x."),
+        ("ablate", ["study=control", "results=3"], "results must be text, got 3."),
         ("ablate", ["study=control", "rebuild=x"], "rebuild must be true or false, got x."),
     ],
 )

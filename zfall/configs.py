@@ -10,7 +10,7 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 _PACKAGE = Path(__file__).parent
 
@@ -48,6 +48,15 @@ def compose_config(overrides: Sequence[str] = (), recipe: str = "train") -> Dict
         return compose(recipe, overrides=list(overrides))
     with _without_other_hydra(), initialize_config_dir(str(config_folder()), version_base=None):
         return compose(recipe, overrides=list(overrides))
+
+
+def plain_containers(cfg: Any) -> Any:
+    """Dicts and lists of a config, with what it refers to in its place.
+
+    Raises:
+        OmegaConfBaseException: on a reference that leads nowhere.
+    """
+    return OmegaConf.to_container(cfg, resolve=True)
 
 
 def nodes_of(config: Any, place: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:

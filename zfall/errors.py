@@ -1,14 +1,22 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-from hydra.errors import ConfigCompositionException, InstantiationException
+from hydra.errors import ConfigCompositionException, HydraException, InstantiationException
 from hydra.utils import get_object
-from omegaconf import DictConfig, ListConfig
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError
+from omegaconf import DictConfig
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    InterpolationResolutionError,
+    InterpolationToMissingValueError,
+    OmegaConfBaseException,
+)
+from yaml import YAMLError
 
 from zfall.moved import moved
 
@@ -21,7 +29,13 @@ _OTHER_KIND = re.compile(
     r"(object is not|is not iterable|object has no attribute|and 'int'|and 'float').*"
 )
 _NO_PLACE = re.compile(r"invalid literal for int\(\) with base 10: '(\w+)'")  # of a list
+_KEY_FIRST = re.compile(r"[a-z_]\w*(\.\w+)+(:| [a-z])")
+_MERGING = re.compile(r"Error merging override (.+?)=(.*)", re.DOTALL)
 _NOT_LOADED = re.compile(r"Error loading '(\S+)': \w+\([\"'](.*)[\"']\).*")
+
+
+# Those that say by themselves what to repair; of others the kind is said, too.
+SPOKEN = (ValueError, OSError, HydraException, OmegaConfBaseException, YAMLError)
 
 
 def in_one_line(error: BaseException) -> str:
@@ -29,10 +43,45 @@ def in_one_line(error: BaseException) -> str:
     if isinstance(error, InstantiationException):
         return _innermost(error)
     if isinstance(error, ConfigCompositionException):
+        if merged := _MERGING.fullmatch(str(error).strip()):
+            return f"{merged[1]} must be of the kind that the yaml gives it, got {merged[2]}."
         return _not_there(error) or _flat(str(error))
+    if isinstance(error, OmegaConfBaseException) and error.full_key:
+        reason = _flat(str(error).split("\n")[0])
+        if isinstance(error, InterpolationResolutionError | InterpolationToMissingValueError):
+            rule = "must refer to a value that is there, got another"
+            return f"{error.full_key} {rule}: {reason}."
+        return f"{error.full_key} must be given, or of another kind: {reason}."
     if no_place := _NO_PLACE.fullmatch(str(error)):
         return f"a list has values 0, 1 and so on, none that is called {no_place[1]}."
-    return _flat(str(error))
+    return _said(error)
+
+
+@contextmanager
+def named(place: str) -> Iterator[None]:
+    """Puts a key in front of what goes wrong while something is made of its value.
+
+    Raises:
+        ValueError: from the error, whatever its kind; hydra's own, which name the key, stay.
+    """
+    try:
+        yield
+    except Exception as error:
+        text = str(error)
+        if "full_key: " in text or text.startswith(place):
+            raise
+        raise ValueError(at(place, in_one_line(error))) from error
+
+
+def at(place: str, reason: str) -> str:
+    """A reason with the place in front, as one key if it begins with one itself."""
+    return f"{place}{'.' if _KEY_FIRST.match(reason) else ': '}{reason}" if place else reason
+
+
+def _said(error: BaseException) -> str:
+    """The message of an error, with its kind if that says more."""
+    text = _flat(str(error)) or "no message"
+    return text if isinstance(error, SPOKEN) else f"{type(error).__name__}: {text}"
 
 
 def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
@@ -76,6 +125,7 @@ def _innermost(error: BaseException) -> str:
         error = error.__cause__
     place = ".".join(keys)
     reason = _flat(str(error).split("\nfull_key:")[0])
+    kind = "" if isinstance(error, SPOKEN) else f"{type(error).__name__}: "
     unknown = _UNEXPECTED.fullmatch(reason)
     if unknown and place:
         function, key = unknown.groups()
@@ -88,7 +138,9 @@ def _innermost(error: BaseException) -> str:
         reason = f"_target_ {not_found(*absent.groups())}"
     elif place and _OTHER_KIND.fullmatch(reason):
         reason = f"a value may be of another kind than it takes: {reason}."
-    return f"{place}: {reason}" if place else reason
+    else:
+        reason = f"{kind}{reason}"
+    return at(place, reason)
 
 
 def not_found(target: str, reason: str) -> str:
@@ -113,7 +165,7 @@ def object_at(path: str, key: str) -> Any:
     """
     try:
         return get_object(path)
-    except ImportError as error:
+    except (ImportError, ValueError, AttributeError) as error:
         flat = _flat(str(error))
         absent = _NOT_LOADED.fullmatch(flat)
         raise ValueError(f"{key} {not_found(*absent.groups()) if absent else flat}") from error
@@ -124,28 +176,6 @@ def _flat(text: str) -> str:
     flat = flat.partition(" Config search path: ")[0]
     # Hydra's advice, which makes a new key of one that is misspelt.
     return flat.replace("To append to your config use +", "Unless it is misspelt, write +")
-
-
-def check_whole(cfg: DictConfig, keys: Iterable[str], least: int = 0) -> None:
-    """Refuses what is no whole number, or less than ``least``, naming the key."""
-    for key in keys:
-        if type(cfg[key]) is not int:
-            raise ValueError(f"{key} must be a whole number, got {cfg[key]}.")
-        check_number(cfg[key], key, lambda x: x >= least, f"be at least {least}")
-
-
-def check_lists(cfg: DictConfig, keys: Iterable[str]) -> None:
-    """Refuses what is no list, naming the key; ``null`` is left to its reader."""
-    for key in keys:
-        if cfg.get(key) is not None and not isinstance(cfg[key], ListConfig):
-            raise ValueError(f"{key} must be a list, [{cfg[key]}], got {cfg[key]}.")
-
-
-def check_flags(cfg: DictConfig, keys: Iterable[str]) -> None:
-    """Refuses what is neither true nor false, naming the key."""
-    for key in keys:
-        if not isinstance(cfg[key], bool):
-            raise ValueError(f"{key} must be true or false, got {cfg[key]}.")
 
 
 def check_number(value: Any, name: str, holds: Callable[[float], bool], rule: str) -> None:

@@ -8,21 +8,34 @@ or shin, and what lands softly. Goes on from what the robot has, and keeps that 
 takes an hour.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TypedDict
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.console import Console
 
 from zfall.commands import shown_path
-from zfall.envs.humanoid import HumanoidEnv
-from zfall.errors import check_keys, check_lists, check_whole
-from zfall.falling.movements import catches_path, load_catches, save_catches
-from zfall.falling.recorded_falls import Falls
-from zfall.falling.search import CrossEntropySearch, check_bins, first_guess, improve
+from zfall.values import Count, Name, Positive, Seed, Whole
 
-from ..shell import one_line_errors, start
+from ..shell import check_recipe, one_line_errors, start
+
+
+class Keys(TypedDict):
+    """The keys of ``catches.yaml``."""
+
+    falls: Name
+    headings: Sequence[Whole]
+    speeds: Sequence[Positive]
+    until: Sequence[Positive]
+    candidates: Count
+    trials: Count
+    elite: Count
+    rounds: Count
+    spread: Positive
+    seed: Seed
+
 
 BINS = ("headings", "speeds", "until")
 COUNTS = ("candidates", "trials", "elite", "rounds")
@@ -31,12 +44,16 @@ COUNTS = ("candidates", "trials", "elite", "rounds")
 @hydra.main(version_base=None, config_path=".", config_name="catches")
 def main(cfg: DictConfig) -> None:
     """Writes ``catches.npz``, and prints what comes of each movement on all its falls."""
-    console = Console()
     with one_line_errors():
-        check_keys(cfg, {"falls", *BINS, *COUNTS, "spread", "seed"})
-        check_lists(cfg, BINS)
-        check_whole(cfg, COUNTS, 1)
-        check_whole(cfg, ["seed"])
+        check_recipe(cfg, Keys)
+        from rich.console import Console
+
+        from zfall.envs.humanoid import HumanoidEnv
+        from zfall.falling.movements import catches_path, load_catches, save_catches
+        from zfall.falling.recorded_falls import Falls
+        from zfall.falling.search import CrossEntropySearch, check_bins, first_guess, improve
+
+        console = Console()
         search = CrossEntropySearch(
             **{key: cfg[key] for key in COUNTS}, spread=cfg.spread, seed=cfg.seed
         )

@@ -6,21 +6,35 @@ push began are kept, when a trigger may first give up: a fall takes 0.3 s. With 
 a policy that kneels, it is the state at its own trigger, of all trials.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, TypedDict
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.console import Console
 
 from zfall.commands import shown_path
-from zfall.errors import check_keys, check_lists, check_whole
-from zfall.evaluation.candidate import load_candidate
-from zfall.falling.banks import save_bank
-from zfall.falling.recording import record_falls
 from zfall.trust import trusting
+from zfall.values import Count, Names, NotNegative, Positive, Rule, Seed
 
-from ..shell import one_line_errors, start
+from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
+
+
+class Keys(TypedDict):
+    """The keys of ``falls.yaml``."""
+
+    run: Run
+    checkpoint: Checkpoint
+    trust: Changes
+    change: Changes
+    seed: Seed
+    starts: Count
+    impulses: Annotated[Sequence[Positive], Rule("hold at least one", lambda x: len(x) > 0)]
+    points: Names
+    duration: Positive
+    times: Annotated[Sequence[NotNegative], Rule("hold at least one", lambda x: len(x) > 0)] | None
+
 
 PUSHED = ("seed", "starts", "impulses", "points", "duration", "times")  # how
 
@@ -28,11 +42,16 @@ PUSHED = ("seed", "starts", "impulses", "points", "duration", "times")  # how
 @hydra.main(version_base=None, config_path=".", config_name="falls")
 def main(cfg: DictConfig) -> None:
     """Writes ``falls.npz``, see ``zfall.falling.banks.load_bank``."""
-    console = Console()
+    with one_line_errors():
+        check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
-        check_keys(cfg, {"run", "checkpoint", "change", "trust", *PUSHED})
-        check_lists(cfg, ("impulses", "points", "times", "change"))
-        check_whole(cfg, ["seed"])
+        from rich.console import Console
+
+        from zfall.evaluation.candidate import load_candidate
+        from zfall.falling.banks import save_bank
+        from zfall.falling.recording import record_falls
+
+        console = Console()
         tested = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
         pushed = {key: cfg[key] for key in PUSHED}
         recording = record_falls(tested.env_cfg, tested.actor, servos=tested.servos, **pushed)

@@ -6,12 +6,14 @@ and off the hands. Each is held again 32 times with noise on its joints. Prints 
 share that still rests, torque and lean; the first is the keyframe ``kneel``, arms apart.
 """
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING
 
-from zfall.envs.humanoid import HumanoidEnv
-from zfall.falling.poses import KINDS, LEGS, Found, search_poses
+from ..shell import start
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from zfall.falling.poses import Found
 
 DRAWS = 12  # batches of 512 poses
 COLUMNS = ("robust", "torque rms [N m]", "lean [rad]", "CoM [m]")
@@ -19,6 +21,12 @@ COLUMNS = ("robust", "torque rms [N m]", "lean [rad]", "CoM [m]")
 
 def main() -> None:
     """Searches, and prints what was found."""
+    import numpy as np
+    from rich.console import Console
+
+    from zfall.envs.humanoid import HumanoidEnv
+    from zfall.falling.poses import KINDS, search_poses
+
     console, generator = Console(), np.random.default_rng(0)
     env = HumanoidEnv(num_envs=512, control_dt=0.04, physics_dt=0.004)
     copies = HumanoidEnv(num_envs=32, control_dt=0.04, physics_dt=0.004)
@@ -30,8 +38,12 @@ def main() -> None:
             console.print("qpos:", " ".join(f"{value:.6g}" for value in found[0].state))
 
 
-def shown(title: str, poses: list[Found], joints: tuple[str, ...]) -> Table:
+def shown(title: str, poses: "list[Found]", joints: tuple[str, ...]) -> "Table":
     """A row for each pose: its figures, and the angles of the legs [rad]."""
+    from rich.table import Table
+
+    from zfall.falling.poses import LEGS
+
     table = Table(title=title)
     for name in (*COLUMNS, *LEGS):
         table.add_column(name)
@@ -43,4 +55,4 @@ def shown(title: str, poses: list[Found], joints: tuple[str, ...]) -> Table:
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

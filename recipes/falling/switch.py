@@ -6,25 +6,37 @@ folder that ``recipes.evaluate`` takes. With ``kneel=script`` the movements that
 """
 
 from pathlib import Path
+from typing import TypedDict
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zfall import checkpoint
 from zfall.commands import shown_path
-from zfall.errors import check_keys
-from zfall.falling.switched import switched_checkpoint
 from zfall.trust import trusting
 
-from ..shell import one_line_errors, start
+from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
+
+
+class Keys(TypedDict):
+    """The keys of ``switch.yaml``."""
+
+    recover: Run
+    kneel: Run
+    checkpoint: Checkpoint
+    trust: Changes
+    change: Changes
 
 
 @hydra.main(version_base=None, config_path=".", config_name="switch")
 def main(cfg: DictConfig) -> None:
     """Writes ``checkpoints/last.pt`` with both policies and the env ``push_to_kneel``."""
+    with one_line_errors():
+        check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
-        check_keys(cfg, {"recover", "kneel", "checkpoint", "change", "trust"})
+        from zfall import checkpoint
+        from zfall.falling.switched import switched_checkpoint
+
         content = switched_checkpoint(
             cfg.recover, cfg.kneel, checkpoint_name=cfg.checkpoint, changes=cfg.change
         )

@@ -5,25 +5,36 @@ learns from the measurements, is calibrated on other trials and compared on a th
 fixed rule: how early it is, and how often it gives up what would have been recovered.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, TypedDict
 
 import hydra
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from zfall.commands import shown_path
-from zfall.envs.tables import keep
-from zfall.errors import check_keys, check_lists, check_whole
-from zfall.evaluation.candidate import load_candidate
-from zfall.evaluation.writers import markdown
-from zfall.falling import trigger
-from zfall.falling.fall_network import save_fall_network
-from zfall.falling.plots import reliability_plot, trigger_plot
 from zfall.trust import trusting
+from zfall.values import Count, Names, Positive, Rule, Seed
 
-from ..shell import one_line_errors, start
+from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
+
+
+class Keys(TypedDict):
+    """The keys of ``trigger.yaml``."""
+
+    run: Run
+    checkpoint: Checkpoint
+    trust: Changes
+    change: Changes
+    keep: Changes | None
+    seed: Seed
+    measured: Names
+    hidden_size: Count
+    epochs: Count
+    starts: Count
+    impulses: Annotated[Sequence[Positive], Rule("hold at least one", lambda x: len(x) > 0)]
+
 
 PUSHED = ("measured", "impulses", "starts", "seed")  # what is recorded
 LEARNED = ("hidden_size", "epochs")
@@ -33,12 +44,21 @@ ON = ("noise", "delay")  # transforms that stay on by themselves, where there ar
 @hydra.main(version_base=None, config_path=".", config_name="trigger")
 def main(cfg: DictConfig) -> None:
     """Writes ``fall_network.pt``, ``trigger.csv``, ``trigger.md`` and figures."""
-    console, folder = Console(), Path(HydraConfig.get().runtime.output_dir)
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with one_line_errors():
+        check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
-        check_keys(cfg, {"run", "checkpoint", "change", "keep", "trust", *PUSHED, *LEARNED})
-        check_lists(cfg, ("measured", "impulses", "keep", "change"))
-        check_whole(cfg, LEARNED, 1)
-        check_whole(cfg, ["seed"])
+        import torch
+        from rich.console import Console
+
+        from zfall.envs.tables import keep
+        from zfall.evaluation.candidate import load_candidate
+        from zfall.evaluation.writers import markdown
+        from zfall.falling import trigger
+        from zfall.falling.fall_network import save_fall_network
+        from zfall.falling.plots import reliability_plot, trigger_plot
+
+        console = Console()
         tested = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
         there = OmegaConf.select(tested.env_cfg, "training_only", default={})
         kept = [name for name in ON if name in there] if cfg.keep is None else cfg.keep

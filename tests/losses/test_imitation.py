@@ -92,11 +92,11 @@ def test_a_pupil_comes_closer_to_its_teacher(compose_config, actor):
     [
         (["experiment=quickstart"], r"best and this run must have the same env.transforms"),
         (["auxiliary_losses.imitation.teacher=nobody"], r"teacher must be a run folder, or one of"),
-        (["auxiliary_losses.imitation.teacher=null"], r"imitation.teacher must be a run folder or"),
+        (["auxiliary_losses.imitation.teacher=null"], r"imitation.teacher must be text, got null"),
         (["auxiliary_losses.imitation.teacher=kneel"], r"must see the observation alone, .* mode"),
-        (["auxiliary_losses.imitation.std=0"], r"std must be finite and positive, got 0"),
+        (["auxiliary_losses.imitation.std=0"], r"imitation.std must be positive and finite, got 0"),
         (["auxiliary_losses.imitation.coeff=-1"], r"coeff must be finite and not negative, got -1"),
-        (["auxiliary_losses.imitation.coeff=nan"], r"coeff must be finite and not negative, got"),
+        (["auxiliary_losses.imitation.coeff=nan"], r"imitation.coeff must be a number, got nan"),
     ],
 )
 def test_bad_teachers_are_named(compose_config, overrides, rule):

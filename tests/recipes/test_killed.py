@@ -40,7 +40,9 @@ def train(args: list[str]) -> None:
 def started(args: list[str]) -> Any:
     """A process that trains; it begins with all imports done."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["recipes.train"])
+    context.set_forkserver_preload(
+        ["recipes.train", "zfall.training.begin", "zfall.evaluation.showcase"]
+    )
     process = context.Process(target=train, args=(args,))
     process.start()
     return process

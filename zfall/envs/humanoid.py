@@ -41,6 +41,7 @@ from zfall.simulation.quantities import (
     observation_spec,
 )
 from zfall.simulation.read_quantities import QuantityReader
+from zfall.values import Count, Positive
 
 __all__ = ["STATE_KEYS", "HumanoidEnv"]
 
@@ -86,15 +87,15 @@ class HumanoidEnv(EnvBase):
     def __init__(
         self,
         *,
-        num_envs: int,
-        control_dt: float,
-        physics_dt: float = 0.004,
+        num_envs: Count,
+        control_dt: Positive,
+        physics_dt: Positive = 0.004,
         robot: Robot = ZEROTH01,
         push_points: dict[str, PushPoint] | None = None,
         ball: Ball | None = None,
         servos: Mapping[str, Servo] | None = None,
         powered: bool = True,
-        threads: int | None = None,
+        threads: Count | None = None,
     ):
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}.")

@@ -2,16 +2,18 @@
 
 import inspect
 from collections.abc import Collection, Mapping
-from difflib import get_close_matches
 from typing import Any
 
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, open_dict
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
+from zfall.configs import plain_containers
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.table_env import DropSubsteps, Table, TableEnv
 from zfall.envs.transforms.actions.commands import check_order
+from zfall.errors import named
+from zfall.static_checks import check_nodes
 
 
 def make_env(
@@ -63,6 +65,7 @@ def make_env(
     if "substeps" in env.observation_spec.keys():
         after.append(DropSubsteps())
     task = TableEnv(env, Table(*reversed(before), *after))
+    task.transform.by_name = built  # for messages
     _check_measured(built)
     _check_declared(task, built)
     return task
@@ -154,28 +157,20 @@ def build_transform(
         place: key of the config, for messages.
 
     Raises:
-        ValueError: on a key that is no parameter.
+        ValueError: on a config that does not fit (``zfall.static_checks``), or that of something
+            else; naming the place.
     """
     if isinstance(transform, Transform):
         return transform
+    plain = plain_containers(transform) if isinstance(transform, DictConfig) else transform
+    check_nodes(plain, place)
     parameters = inspect.signature(get_object(transform["_target_"])).parameters
-    _check_parameters(transform, parameters, place)
     args = (env,) if next(iter(parameters), None) == "env" else ()
     config = transform if isinstance(transform, DictConfig) else dict(transform)
-    return instantiate(config, *args, _convert_="all")
-
-
-def _check_parameters(
-    config: Mapping[str, Any], parameters: Mapping[str, inspect.Parameter], place: str
-) -> None:
-    """Refuses a key that is no parameter, naming the one that may be meant."""
-    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-        return
-    for key in (str(key) for key in config if not str(key).startswith("_")):
-        if key not in parameters:
-            near = get_close_matches(key, parameters, n=1)
-            owner = str(config["_target_"]).rpartition(".")[2]
-            raise ValueError(
-                f"{place}.{key} is not a parameter of {owner} "
-                f"({', '.join(parameters)}){f'; did you mean {near[0]}?' if near else '.'}"
-            )
+    with named(place):
+        built = instantiate(config, *args, _convert_="all")
+    if not isinstance(built, Transform):
+        raise ValueError(
+            f"{place}._target_ must make a TorchRL Transform, got {transform['_target_']}."
+        )
+    return built

@@ -7,10 +7,11 @@ from typing import Any
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from zfall.configs import compose_config, nodes_of, options_of
+from zfall.configs import compose_config, nodes_of, options_of, plain_containers
 from zfall.fingerprints import digest, file_digest
 from zfall.robots import ZEROTH01, Robot
 from zfall.simulation.model import identity_of
+from zfall.static_checks import check_nodes
 
 INTERFACE = ("action", "observation")  # transforms by which a policy acts and sees
 
@@ -27,7 +28,8 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
     ``servo=NAME`` gives it the servos of ``recipes/servo``; values of these can be changed after.
 
     Raises:
-        ValueError: on a key that is not there, other servos than there are, or something else
+        ValueError: on a key that is not there, a value that it cannot have, servos that there are
+            not, or something else
             than a list.
     """
     if isinstance(changes, str) or not isinstance(changes, Sequence):
@@ -41,6 +43,8 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
         if OmegaConf.select(new, key, default="missing") == "missing":
             raise ValueError(f"change must name a value of the env, there is no {key}.")
         OmegaConf.update(new, key, OmegaConf.select(OmegaConf.from_dotlist([change]), key))
+    if changes:
+        check_nodes(plain_containers(new))
     return new
 
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from omegaconf.errors import OmegaConfBaseException
 from torchrl.envs import Transform, TransformedEnv
 
-from zfall.configs import compose_config, options_of
+from zfall.configs import compose_config, options_of, plain_containers
 from zfall.envs.make import left_out, make_env
 from zfall.errors import in_one_line
+from zfall.static_checks import check_nodes
 
 Table = Mapping[str, Any]  # as in recipes/env, a DictConfig for instance
 
@@ -66,6 +67,8 @@ def _load_table(name: str, overrides: Collection[str]) -> Table:
     if name not in names:
         raise ValueError(f"task must be one of {', '.join(names)}, got {name!r}.")
     try:
-        return compose_config([f"env={name}", "~experiment", *overrides]).env
+        table: Table = compose_config([f"env={name}", "~experiment", *overrides]).env
+        check_nodes(plain_containers(table), "env")
+        return table
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ValueError(in_one_line(error)) from error

@@ -10,7 +10,7 @@ import pandas as pd
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from zfall.configs import compose_config
+from zfall.configs import compose_config, plain_containers
 from zfall.envs import tables
 from zfall.envs.tables import changed, contents_of, robot_of
 from zfall.evaluation.baselines import baseline_names, load_baseline, passive
@@ -22,6 +22,7 @@ from zfall.fingerprints import weights_digest
 from zfall.meaning import meaning, strict
 from zfall.policies.load import Policy, checkpoint_of, load_policy, shipped
 from zfall.robots import Robot
+from zfall.static_checks import check_nodes
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,8 @@ def load_candidate(
         return Candidate(run.name, changed(run.config.env, list(change)), run.actor)
     if run in (names := baseline_names()):
         baseline = load_baseline(run)
+        if isinstance(task, DictConfig):
+            check_nodes(plain_containers(task), "env")
         env_cfg: DictConfig = (
             compose_config([f"env={task}", "num_envs=64"]).env if isinstance(task, str) else task
         )

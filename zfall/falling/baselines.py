@@ -3,6 +3,7 @@
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.falling.switched import without_exploration
+from zfall.values import NotNegativeOrInfinite
 
 
 class Scripted:
@@ -16,7 +17,7 @@ class Scripted:
 
     servos = True
 
-    def __init__(self, *, moving: float | None = None):
+    def __init__(self, *, moving: NotNegativeOrInfinite | None = None):
         self.moving = moving
 
     def fits(self, env_cfg: DictConfig) -> bool:

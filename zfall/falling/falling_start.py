@@ -16,6 +16,7 @@ from zfall.envs.transforms.values import per_world, reset_rows
 from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS, load_bank
 from zfall.falling.files import own_file
 from zfall.fingerprints import reads_files
+from zfall.values import Count, FractionAboveZero
 
 
 @reads_files(
@@ -69,9 +70,9 @@ class FallingStart(Transform):
         env: HumanoidEnv,
         *,
         bank: str | None = None,
-        share: float = 1.0,
+        share: FractionAboveZero = 1.0,
         pushed: bool = False,
-        alike: int = 1,
+        alike: Count = 1,
     ):
         super().__init__()
         needs_env(self, env, "the begin of episodes")

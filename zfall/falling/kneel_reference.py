@@ -16,6 +16,7 @@ from zfall.envs.transforms.values import per_world, reset_rows
 from zfall.falling.movements import catches_path, load_catches
 from zfall.fingerprints import reads_files
 from zfall.rotations import turn_to_heading
+from zfall.values import NotNegative, NotNegativeOrInfinite, Positive
 
 
 @reads_files(lambda values, robot: [Path(values.get("catches") or catches_path(robot))], "catches")
@@ -64,10 +65,10 @@ class KneelReference(Transform):
         self,
         env: HumanoidEnv,
         *,
-        speed: float = 6.0,
-        moving: float = 0.3,
-        settle: float = 0.06,
-        landing: float | None = None,
+        speed: Positive = 6.0,
+        moving: NotNegativeOrInfinite = 0.3,
+        settle: NotNegative = 0.06,
+        landing: Positive | None = None,
         catches: str | None = None,
     ):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["target"])

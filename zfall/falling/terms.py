@@ -4,7 +4,8 @@ Source: the kneel rewards in the design notes of the Zeroth-fall project, which 
 their weights; kernels and scales are ours.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Annotated
 
 import torch
 from tensordict import TensorDictBase
@@ -12,6 +13,23 @@ from torch import Tensor
 
 from zfall.robots import GRAVITY, Robot
 from zfall.rotations import tilt
+from zfall.values import (
+    Names,
+    NamesOf,
+    NotNegative,
+    NotNegativeOrInfinite,
+    Positive,
+    PositiveOrInfinite,
+    Rule,
+)
+
+Mode = Annotated[int, Rule("be 0 (recover), 1 (kneel) or 2 (stable)", lambda x: x in (0, 1, 2))]
+Regions = Annotated[Names, NamesOf("regions, of both sides", lambda robot: _regions(robot))]
+
+
+def _regions(robot: Robot) -> list[str]:
+    """Names of regions, those of a left and a right one without the side."""
+    return list(dict.fromkeys(region.split("_")[-1] for region in robot.regions))
 
 
 def regions_named(robot: Robot, *names: str) -> list[int]:
@@ -59,7 +77,7 @@ def in_mode(
     td: TensorDictBase,
     next_td: TensorDictBase,
     *,
-    mode: int,
+    mode: Mode,
     term: Callable[..., Tensor],
 ) -> Tensor:
     """The value of another term in the worlds that acted in a mode, 0 (or false) in the others.
@@ -74,7 +92,7 @@ def in_slow_fall(
     td: TensorDictBase,
     next_td: TensorDictBase,
     *,
-    below: float,
+    below: NotNegativeOrInfinite,
     term: Callable[..., Tensor],
 ) -> Tensor:
     """The value of another term in falls slower than ``below`` [m/s], 0 (or false) in the others.
@@ -96,7 +114,7 @@ def com_lowering(td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot) -
     return (3.0 * (1.0 - height)).clamp(0.0, 1.0)
 
 
-def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: Positive) -> Tensor:
     """High without shocks: ``exp(-(|a| - g)^2 / sigma^2)``, with a the largest over the step.
 
     Reads ``base_acceleration_peak`` ``(*B, 1)`` [m/s2]; ``sigma`` [m/s2]. Returns ``(*B, 1)`` in
@@ -106,7 +124,7 @@ def controlled_descent(td: TensorDictBase, next_td: TensorDictBase, *, sigma: fl
     return torch.exp(-excess.square() / sigma**2)
 
 
-def harder_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) -> Tensor:
+def harder_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: NotNegative) -> Tensor:
     """By how much the step raised the episode's hardest shock above ``free`` [m/s2].
 
     Over an episode the sum is the excess of the hardest shock alone, whose peak the batteries
@@ -118,7 +136,7 @@ def harder_landing(td: TensorDictBase, next_td: TensorDictBase, *, free: float) 
 
 
 def harder_blow(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Regions
 ) -> Tensor:
     """By how much the step raised the episode's largest force on regions with these names [N].
 
@@ -131,7 +149,7 @@ def harder_blow(
 
 
 def first_touch(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Regions
 ) -> Tensor:
     """1 for the step in which the first region with one of the names touched the floor.
 
@@ -150,8 +168,8 @@ def kneeling(
     next_td: TensorDictBase,
     *,
     robot: Robot,
-    speed: float,
-    joint_speed: float,
+    speed: PositiveOrInfinite,
+    joint_speed: PositiveOrInfinite,
     clean: bool = False,
 ) -> Tensor:
     """1 in a ``resting_kneel`` with these bounds.
@@ -167,7 +185,7 @@ def kneeling(
     return rests.float()
 
 
-def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: Positive) -> Tensor:
     """High when the base does not turn: ``exp(-|omega|^2 / sigma^2)``.
 
     Reads ``base_angular_velocity`` ``(*B, 3)``; ``sigma`` [rad/s]. Returns ``(*B, 1)`` in (0, 1].
@@ -177,21 +195,21 @@ def low_angular_rate(td: TensorDictBase, next_td: TensorDictBase, *, sigma: floa
 
 
 def region_contact(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Regions
 ) -> Tensor:
     """1 if a region with one of the names, left or right, touched the floor; ``(*B, 1)``."""
     return touching(next_td, robot, *names).float()
 
 
 def region_contact_ends(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Sequence[str]
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, names: Regions
 ) -> Tensor:
     """Condition for an end: whether such a region touched the floor; ``(*B, 1)`` bool."""
     return touching(next_td, robot, *names)
 
 
 def kneel_pose(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: float
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: Positive
 ) -> Tensor:
     """High in the robot's posture ``kneel`` or its mirror image: ``exp(-|q - q_k|^2 / sigma^2)``.
 
@@ -204,12 +222,12 @@ def kneel_pose(
     return torch.exp(-error[..., None] / sigma**2)
 
 
-def entered_mode(td: TensorDictBase, next_td: TensorDictBase, *, mode: int) -> Tensor:
+def entered_mode(td: TensorDictBase, next_td: TensorDictBase, *, mode: Mode) -> Tensor:
     """1 for the step that led into a mode; reads ``mode``; returns ``(*B, 1)``."""
     before, after = (x["mode"][..., mode : mode + 1] for x in (td, next_td))
     return ((after > 0) & (before == 0)).float()
 
 
-def entered_mode_ends(td: TensorDictBase, next_td: TensorDictBase, *, mode: int) -> Tensor:
+def entered_mode_ends(td: TensorDictBase, next_td: TensorDictBase, *, mode: Mode) -> Tensor:
     """Condition for an end: that the step led into a mode; ``(*B, 1)`` bool."""
     return entered_mode(td, next_td, mode=mode) > 0

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase, unravel_key
@@ -13,6 +13,7 @@ from torchrl.objectives import LossModule
 from zfall.modules.actors import normalizer_of, recurrent_keys
 from zfall.modules.gru import borrow_memory
 from zfall.modules.memory import lends_memory, memory_before
+from zfall.values import NotNegative, one_of
 
 NORMS = {
     "l1": lambda x: x.abs().sum(-1),
@@ -75,11 +76,11 @@ class CAPSLoss(LossModule):
         actor_network: ProbabilisticActor,
         spans: Mapping[str, slice | Tensor] | None = None,
         *,
-        temporal_coeff: float = 0.1,
-        spatial_coeff: float = 0.1,
-        sigma: float | Mapping[str, float] = 0.2,
-        temporal_norm: str = "l1",
-        spatial_norm: str = "squared_l2",
+        temporal_coeff: NotNegative = 0.1,
+        spatial_coeff: NotNegative = 0.1,
+        sigma: NotNegative | Mapping[str, NotNegative] = 0.2,
+        temporal_norm: Annotated[str, one_of(*NORMS)] = "l1",
+        spatial_norm: Annotated[str, one_of(*NORMS)] = "squared_l2",
         on_actions: bool = False,
         neighbour_key: str | None = None,
     ):

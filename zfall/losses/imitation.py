@@ -11,6 +11,7 @@ from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import LossModule
 
 from zfall.modules.actors import recurrent_keys
+from zfall.values import Name, NotNegative, Positive
 
 
 class ImitationLoss(LossModule):
@@ -52,8 +53,8 @@ class ImitationLoss(LossModule):
         actor_network: ProbabilisticActor,
         teacher: TensorDictModuleBase,
         *,
-        coeff: float = 1.0,
-        std: float = 0.1,
+        coeff: NotNegative = 1.0,
+        std: Positive = 0.1,
     ):
         super().__init__()
         if not 0 <= coeff < math.inf:
@@ -70,7 +71,7 @@ class ImitationLoss(LossModule):
 
     @classmethod
     def for_task(
-        cls, actor_network: ProbabilisticActor, task: Any, *, teacher: str, **values: Any
+        cls, actor_network: ProbabilisticActor, task: Any, *, teacher: Name, **values: Any
     ) -> "ImitationLoss":
         """With the policy of a run, or one that ships, by its name as the teacher."""
         return cls(actor_network, task.policy(teacher), **values)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
 
 from zfall.losses.policy_pass import keep_policy, kept_policy, policy_pass
+from zfall.values import NotNegative, Positive
 
 _LOG_PROB = "log_prob_now"  # of the actions of a batch, by the present weights
 
@@ -68,10 +69,10 @@ class PenalizedPPOLoss(ClipPPOLoss):
         actor_network: torch.nn.Module,
         critic_network: torch.nn.Module,
         *,
-        kl_coeff: float = 0.0,
-        kl_target: float | None = None,
-        value_clip: float | None = None,
-        value_error_clip: float | None = None,
+        kl_coeff: NotNegative = 0.0,
+        kl_target: Positive | None = None,
+        value_clip: Positive | None = None,
+        value_error_clip: Positive | None = None,
         **values: object,
     ):
         super().__init__(actor_network, critic_network, clip_value=value_clip, **values)

@@ -15,6 +15,7 @@ from torchrl.objectives import LossModule
 from zfall.modules.actors import recurrent_keys
 from zfall.modules.memory import lends_memory, memory_beginning, memory_part, rows_where
 from zfall.modules.mirror import Mirror
+from zfall.values import FractionBelowOne, NotNegative
 
 
 class SymmetryLoss(LossModule):
@@ -52,7 +53,7 @@ class SymmetryLoss(LossModule):
         actor_network: ProbabilisticActor,
         mirrors: Mapping[NestedKey, Mirror],
         *,
-        coeff: float = 0.5,
+        coeff: NotNegative = 0.5,
     ):
         super().__init__()
         if not 0 <= coeff < math.inf:
@@ -128,7 +129,7 @@ class SymmetryAugmentation(nn.Module):
         networks: Iterable[TensorDictModuleBase],
         mirrors: Mapping[NestedKey, Mirror],
         *,
-        share: float = 0.5,
+        share: FractionBelowOne = 0.5,
     ):
         super().__init__()
         if not 0 <= share < 1:

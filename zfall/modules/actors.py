@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Annotated, Any, Unpack, cast
 
 import torch
 from tensordict import NestedKey, unravel_key
@@ -12,10 +12,13 @@ from torchrl.data import Composite
 from torchrl.modules import ProbabilisticActor
 
 from zfall.modules.gru import StackedGRU
-from zfall.modules.heads import GaussianHead, Head, make_head
+from zfall.modules.heads import GaussianHead, Head, HeadValues, make_head
 from zfall.modules.normalization import ObservationNormalizer
+from zfall.values import Count, Whole, one_of
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
+Activation = Annotated[str, one_of(*_ACTIVATIONS)]
+Initialization = Annotated[str, one_of("orthogonal", "default")]
 
 
 def mlp_trunk(
@@ -52,7 +55,7 @@ def gru_trunk(
     size: int,
     hidden_size: int,
     num_layers: int,
-    normalize: bool | ObservationNormalizer,
+    normalize: bool | str | ObservationNormalizer,
     initialization: str,
     *,
     role: str,
@@ -99,7 +102,7 @@ def _check_initialization(initialization: str) -> None:
         raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
 
 
-def normalizer(size: int, normalize: bool | ObservationNormalizer) -> list[nn.Module]:
+def normalizer(size: int, normalize: bool | str | ObservationNormalizer) -> list[nn.Module]:
     """What stands before the first layer: a normaliser, new or shared, or nothing.
 
     Raises:
@@ -123,12 +126,13 @@ def mlp_actor(
     observation_spec: Composite,
     action_spec: Composite,
     *,
-    num_cells: Sequence[int] = (128, 128),
-    activation: str = "elu",
-    initialization: str = "orthogonal",
+    num_cells: Sequence[Count] = (128, 128),
+    activation: Activation = "elu",
+    components: Whole = 0,
+    initialization: Initialization = "orthogonal",
     normalize: bool = True,
-    statistic: str = "mean",
-    **head: Any,
+    statistic: Annotated[str, one_of("mean", "mode")] = "mean",
+    **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
     """Feed-forward actor: ``observation`` ``(*B, D)`` -> ``action`` ``(*B, J)``.
 
@@ -139,7 +143,8 @@ def mlp_actor(
         initialization: of these layers, see ``mlp_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
-        head: ``components``: Gaussians per joint, 0 for a plain Gaussian; ``shared_components``:
+        components: Gaussians per joint, 0 for a plain Gaussian.
+        head: ``shared_components``:
             whether all joints are of the same one, a mixture over the whole action; ``std``:
             standard deviation at the start, in units of the action; ``std_range``: its floor and
             cap; of a plain Gaussian ``learn_std``: whether it is learned, and ``state_std``:
@@ -151,7 +156,7 @@ def mlp_actor(
     """
     _check_widths(num_cells)
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
-    out = make_head(num_cells[-1], joints, **head)
+    out = make_head(num_cells[-1], joints, components=components, **head)
     trunk = mlp_trunk(size, num_cells, activation, initialization)
     net = nn.Sequential(*normalizer(size, normalize), trunk, out)
     module = TensorDictModule(net, in_keys=["observation"], out_keys=list(out.keys))
@@ -162,14 +167,14 @@ def gru_actor(
     observation_spec: Composite,
     action_spec: Composite,
     *,
-    hidden_size: int = 64,
-    num_layers: int = 3,
-    components: int = 3,
-    initialization: str = "default",
+    hidden_size: Count = 64,
+    num_layers: Count = 3,
+    components: Whole = 3,
+    initialization: Initialization = "default",
     residual: bool = False,
     normalize: bool = True,
-    statistic: str = "mean",
-    **head: Any,
+    statistic: Annotated[str, one_of("mean", "mode")] = "mean",
+    **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
     """Recurrent actor: a linear layer, stacked GRU cells, a head.
 

@@ -2,14 +2,23 @@
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import gru_trunk, hidden_key, mlp_trunk, normalizer
+from zfall.modules.actors import (
+    Activation,
+    Initialization,
+    gru_trunk,
+    hidden_key,
+    mlp_trunk,
+    normalizer,
+)
 from zfall.modules.normalization import ObservationNormalizer
+from zfall.values import Count, Positive
 
 
 class ValueHead(nn.Linear):
@@ -46,11 +55,11 @@ def _observation_size(observation_spec: Composite) -> int:
 def mlp_critic(
     observation_spec: Composite,
     *,
-    num_cells: Sequence[int] = (128, 128),
-    activation: str = "elu",
-    initialization: str = "orthogonal",
-    normalize: bool | ObservationNormalizer = True,
-    scale: float = 1.0,
+    num_cells: Sequence[Count] = (128, 128),
+    activation: Activation = "elu",
+    initialization: Initialization = "orthogonal",
+    normalize: bool | Literal["shared"] | ObservationNormalizer = True,
+    scale: Positive = 1.0,
 ) -> ValueOperator:
     """Feed-forward critic: ``observation_critic`` ``(*B, D)`` -> ``state_value`` ``(*B, 1)``.
 
@@ -75,11 +84,11 @@ def mlp_critic(
 def gru_critic(
     observation_spec: Composite,
     *,
-    hidden_size: int = 64,
-    num_layers: int = 3,
-    initialization: str = "default",
-    normalize: bool | ObservationNormalizer = True,
-    scale: float = 1.0,
+    hidden_size: Count = 64,
+    num_layers: Count = 3,
+    initialization: Initialization = "default",
+    normalize: bool | Literal["shared"] | ObservationNormalizer = True,
+    scale: Positive = 1.0,
 ) -> TensorDictSequential:
     """Recurrent critic: a linear layer, stacked GRU cells, a linear layer.
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, TypedDict
 
 import torch
 from torch import Tensor, nn
@@ -10,6 +10,7 @@ from torchrl.modules import IndependentNormal
 
 from zfall.modules.mixture import MixtureOfGaussians
 from zfall.modules.shared_mixture import SharedMixtureOfGaussians
+from zfall.values import INFINITE, ORDERED, Positive, Whole
 
 
 class _Bounded(torch.autograd.Function):
@@ -181,11 +182,21 @@ class SharedMixtureHead(nn.Module):
 Head = GaussianHead | MixtureHead | SharedMixtureHead
 
 
+class HeadValues(TypedDict, total=False):
+    """What a config may say of a head, see ``make_head``."""
+
+    shared_components: bool
+    std: Positive
+    learn_std: bool
+    state_std: bool
+    std_range: Annotated[Sequence[Annotated[float, INFINITE]], ORDERED] | None
+
+
 def make_head(
     size: int,
     joints: int,
     *,
-    components: int = 0,
+    components: Whole = 0,
     shared_components: bool = False,
     std: float = 0.5,
     learn_std: bool = True,

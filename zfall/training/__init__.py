@@ -14,7 +14,20 @@ In Python, without hydra::
 resuming.
 """
 
-from zfall.training.learner import Learner
-from zfall.training.loop import run_training
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from zfall.training.learner import Learner
+    from zfall.training.loop import run_training
 
 __all__ = ["Learner", "run_training"]
+
+_HOMES = {"Learner": "zfall.training.learner", "run_training": "zfall.training.loop"}
+
+
+def __getattr__(name: str) -> Any:
+    """Loads torch when one of the two is wanted."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module zfall.training has no attribute {name}")

@@ -4,28 +4,18 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from zfall.configs import compose_config
-from zfall.errors import check_keys, check_number, check_whole
+from zfall.complaints import check_table
+from zfall.configs import compose_config, plain_containers
+from zfall.errors import check_keys
+from zfall.static_checks import check_nodes
 from zfall.training.collection import group_sizes
+from zfall.training.keys import TrainKeys
 from zfall.training.losses import check_loss, target_of
 
-KEYS = {
-    *("seed", "num_envs", "groups", "alike", "total_frames", "rollout_steps", "epochs"),
-    *("minibatches", "burn_in", "max_grad_norm", "averaging", "resume", "warm_start", "name"),
-    *("checkpoint_every", "showcase", "env", "actor", "critic", "loss", "optimizer", "scheduler"),
-    *("experiment", "auxiliary_losses", "auxiliary_share", "augmentation", "logger"),
-    "trust",
-}
-_COUNTS = ("num_envs", "alike", "rollout_steps", "epochs", "minibatches", "checkpoint_every")
-_TABLES = {
-    "optimizer": "{_target_: torch.optim.Adam, lr: 5.0e-4}",
-    "scheduler": "{_target_: torchrl.objectives.KLAdaptiveLR, ...}, or null",
-    "auxiliary_losses": "{NAME: {_target_: ..., ...}}, or {} for none",
-}
 _WRITTEN_BY = {  # what learning reads of every task
     "action": "zfall.envs.transforms.actions.JointPositionTarget",
     "observation": "zfall.envs.transforms.observations.ObservationVector",
@@ -48,7 +38,7 @@ def whole_config(config: DictConfig | Mapping[str, Any]) -> DictConfig:
     if isinstance(config, DictConfig):
         cfg = config
     else:
-        check_keys(OmegaConf.create(dict(config)), KEYS)
+        check_keys(OmegaConf.create(dict(config)), set(TrainKeys.__annotations__))
         cfg = compose_config()
         OmegaConf.set_struct(cfg, False)
         for key, value in config.items():
@@ -64,12 +54,7 @@ def check_config(cfg: DictConfig) -> None:
         ValueError: on a key that nothing reads, a number out of its range, or a loss or
             augmentation that is no table with the path of something that can be imported.
     """
-    check_keys(cfg, KEYS)
-    check_number(
-        cfg.total_frames, "total_frames", lambda x: 0 < x < math.inf, "be a positive number"
-    )
     check_ranges(cfg)
-    check_loss(cfg.loss)
     for name, loss in cfg.auxiliary_losses.items():
         target_of(loss, f"auxiliary_losses.{name}")
     for number, logger in enumerate(cfg.logger or ()):
@@ -115,10 +100,10 @@ def check_ranges(cfg: DictConfig) -> None:
     Raises:
         ValueError: on a number out of its range, or something else in its place.
     """
-    check_whole(cfg, _COUNTS, 1)
-    check_whole(cfg, ("seed", "burn_in"))
-    if cfg.groups is not None:
-        check_whole(cfg, ("groups",), 1)
+    plain = plain_containers(cfg)
+    check_table(plain, TrainKeys)
+    check_loss(cfg.loss)
+    check_nodes({key: value for key, value in plain.items() if key != "loss"})
     for size in group_sizes(cfg.num_envs, cfg.groups):
         if size % cfg.alike:
             raise ValueError(
@@ -128,19 +113,11 @@ def check_ranges(cfg: DictConfig) -> None:
     own = OmegaConf.select(cfg, "env.base_env.num_envs")
     if own is not None and own != cfg.num_envs:
         raise ValueError(f"env.base_env.num_envs must be left to num_envs, got {own}.")
-    check_number(
-        cfg.burn_in, "burn_in", lambda x: 0 <= x < cfg.rollout_steps, "lie in [0, rollout_steps)"
-    )
-    check_number(cfg.auxiliary_share, "auxiliary_share", lambda x: 0 < x <= 1, "lie in (0, 1]")
-    check_number(cfg.averaging, "averaging", lambda x: 0 <= x < 1, "lie in [0, 1)")
-    check_number(cfg.max_grad_norm, "max_grad_norm", lambda x: x > 0, "be positive")
-    for key, example in _TABLES.items():
-        if not (isinstance(cfg[key], DictConfig) or (key == "scheduler" and cfg[key] is None)):
-            raise ValueError(f"{key} must be a table, {example}, got {cfg[key]}.")
-        if key != "auxiliary_losses" and cfg[key] is not None and "_target_" not in cfg[key]:
-            raise ValueError(f"{key} must have a _target_, {example}, got none.")
+    if not cfg.burn_in < cfg.rollout_steps:
+        raise ValueError(
+            f"burn_in must lie in [0, rollout_steps), {cfg.rollout_steps}, got {cfg.burn_in}."
+        )
     if "lr" in cfg.optimizer:
-        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: x >= 0, "be a number, at least 0")
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))
         both = all(isinstance(bound, int | float) for bound in (low, high))
         if both and not low <= cfg.optimizer.lr <= high:
@@ -148,40 +125,6 @@ def check_ranges(cfg: DictConfig) -> None:
                 f"optimizer.lr must lie within scheduler.min_lr {low} and scheduler.max_lr {high}, "
                 f"which would replace it, got {cfg.optimizer.lr}; scheduler=null keeps it fixed."
             )
-    _check_loss(cfg.loss)
-    if cfg.showcase is not None:  # said now, not at the end of the training
-        _check_showcase(cfg.showcase)
-
-
-def _check_showcase(showcase: Any) -> None:
-    if not isinstance(showcase, DictConfig):
-        raise ValueError(
-            f"showcase must be a table of sizes, starts and video, or null, got {showcase}."
-        )
-    check_keys(showcase, {"sizes", "starts", "video"}, "showcase.")
-    rule = "be a whole number, at least 1"
-    check_number(showcase.starts, "showcase.starts", lambda x: x >= 1 and x % 1 == 0, rule)
-    sizes = showcase.sizes
-    if not isinstance(sizes, ListConfig) or not sizes:
-        raise ValueError(f"showcase.sizes must be a list of at least one size, got {sizes}.")
-    for size in sizes:
-        check_number(size, "showcase.sizes", lambda x: 0 < x < math.inf, "hold positive sizes")
-
-
-def _check_loss(loss: DictConfig) -> None:
-    for key in ("gamma", "lmbda"):
-        check_number(loss[key], f"loss.{key}", lambda x: 0 <= x <= 1, "lie in [0, 1]")
-    check_number(loss.clip_epsilon, "loss.clip_epsilon", lambda x: 0 < x <= 1, "lie in (0, 1]")
-    for key in ("critic_coeff", "entropy_coeff", "kl_coeff"):
-        check_number(loss[key], f"loss.{key}", lambda x: x >= 0, "be a number, at least 0")
-    for key in ("kl_stop", "kl_target", "value_clip", "value_error_clip"):
-        if loss[key] is not None:
-            check_number(loss[key], f"loss.{key}", lambda x: x > 0, "be positive or null")
-    if loss.normalize_advantage not in ("minibatch", "batch", None):
-        raise ValueError(
-            "loss.normalize_advantage must be minibatch, batch or null, "
-            f"got {loss.normalize_advantage}."
-        )
 
 
 def check_finite(values: dict[str, Tensor], update: int) -> None:

@@ -15,14 +15,15 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, open_dict
 from tensordict import unravel_key
 
+from zfall.complaints import check_table
+from zfall.configs import plain_containers
 from zfall.errors import check_keys, in_one_line, not_found
 from zfall.losses.ppo import PenalizedPPOLoss
+from zfall.static_checks import check_nodes
+from zfall.training.keys import LossKeys
 from zfall.training.task_facts import TaskFacts
 
-LOSS_KEYS = {
-    *("gamma", "lmbda", "clip_epsilon", "critic_coeff", "entropy_coeff"),
-    *("normalize_advantage", "kl_stop", "kl_coeff", "kl_target", "value_clip", "value_error_clip"),
-}
+LOSS_KEYS = set(LossKeys.__annotations__)
 
 TASK_FACTS = {  # what losses take of the task, and what of ``TaskFacts`` gives it
     "spans": "task.spans(key)",
@@ -74,8 +75,10 @@ def check_loss(cfg: DictConfig) -> None:
     whatever they are given: a key must be one that this class or one that it is made from names.
 
     Raises:
-        ValueError: on a key that nothing reads, or another class.
+        ValueError: on a key that nothing reads, a bad value, or another class.
     """
+    ours = {key: value for key, value in plain_containers(cfg).items() if key in LOSS_KEYS}
+    check_table(ours, LossKeys, "loss")
     if "_target_" not in cfg:
         check_keys(cfg, LOSS_KEYS, "loss.")
         return
@@ -94,6 +97,8 @@ def check_loss(cfg: DictConfig) -> None:
     }
     given = {"self", "actor_network", "critic_network"}
     check_keys(cfg, LOSS_KEYS | {"_target_"} | (named - given), "loss.")
+    theirs = {key: value for key, value in plain_containers(cfg).items() if key not in LOSS_KEYS}
+    check_nodes(theirs, "loss")
 
 
 def build_loss(config: DictConfig, place: str, networks: Any, task: TaskFacts) -> Any:

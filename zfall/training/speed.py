@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from torch import Tensor
 from torchrl.envs import Transform
 
+from zfall.configs import compose_config
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.simulation.turns import in_turns, physics_first
 from zfall.training.collection import Worlds
@@ -202,3 +203,28 @@ def _adding(function: Callable[..., Any], spent: dict[str, float], key: str) -> 
         return result
 
     return call
+
+
+def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
+    """Limit, env and training of one experiment, its env driven by its own untrained policy.
+
+    Args:
+        cfg: of ``recipes.bench``.
+        report: called with what comes next.
+    """
+    overrides = [f"experiment={cfg.only}", f"num_envs={cfg.num_envs}", f"seed={cfg.seed}"]
+    learner = Learner(compose_config(overrides))
+    stepper, undivided = (EnvStepper(learner.cfg, learner, n) for n in (learner.cfg.groups, 1))
+    recorded = stepper.record()
+    tasks: dict[str, Task] = {
+        "limit": partial(bare_physics, stepper.base_env, *recorded),
+        "limit_together": partial(bare_physics_together, stepper.base_env, *recorded),
+        "env": stepper.run,
+        "env_undivided": undivided.run,
+        "train": partial(whole_training, learner),
+    }
+    results = in_rounds(tasks, cfg.seconds, report)
+    for name in ("env", "env_undivided", "train"):
+        results[f"{name}_efficiency"] = results[name] / results["limit"]
+    report("transforms")
+    return results | stepper.transform_shares(cfg.seconds / 2)

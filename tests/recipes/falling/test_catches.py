@@ -22,7 +22,7 @@ def test_recipe_writes_a_file_that_can_be_loaded(tmp_path):
     for value in ("[45]", "[]", "[a,30]"):
         bad = run("falling.catches", f"falls={BANK}", f"headings={value}")
         assert bad.returncode == 1
-        assert re.match("error: headings .* got ", bad.stderr)
+        assert re.match(r"error: headings.* must .*got ", bad.stderr)
     bad = run("falling.catches", f"falls={tmp_path}/none.npz")
     assert bad.returncode == 1
     assert re.match("error: falls must be a file .*none.npz", bad.stderr)

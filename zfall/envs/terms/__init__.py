@@ -12,6 +12,8 @@ from typing import Any
 
 from torch import Tensor
 
+from zfall.values import check_names
+
 
 def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
     """The term with those of ``known`` that it names as parameters and was not given.
@@ -19,14 +21,16 @@ def bind(term: Callable[..., Tensor], **known: Any) -> Callable[..., Tensor]:
     A term that was given another one as ``term`` has that one bound, too.
 
     Raises:
-        ValueError: if a parameter without a default has no value then, or it does not take the two
-            TensorDicts.
+        ValueError: if a parameter without a default has no value then, it does not take the two
+            TensorDicts, or names what the robot does not have (``zfall.values.NamesOf``).
     """
     if isinstance(term, partial):  # hydra's own kind costs half a millisecond a call
         term = partial(term.func, *term.args, **term.keywords)
     given = term.keywords if isinstance(term, partial) else {}
     if "term" in given:
         term = partial(term, term=bind(given["term"], **known))
+    if "robot" in known:
+        check_names(getattr(term, "func", term), given, known["robot"])
     named = inspect.signature(term).parameters.keys() & known.keys() - given.keys()
     bound = partial(term, **{name: known[name] for name in named}) if named else term
     name = getattr(getattr(term, "func", term), "__name__", type(term).__name__)

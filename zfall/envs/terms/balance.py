@@ -7,9 +7,10 @@ from torch import Tensor
 from zfall.envs.terms.kernels import rbf
 from zfall.envs.terms.support import hull_center, support_hull
 from zfall.robots import GRAVITY, Robot
+from zfall.values import OpenFraction, Positive
 
 
-def base_speed(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+def base_speed(td: TensorDictBase, next_td: TensorDictBase, *, sigma: Positive) -> Tensor:
     """High when the base does not travel: ``exp(-|v_xy|^2 / sigma^2)``.
 
     Reads ``base_linear_velocity`` ``(*B, 3)`` [m/s; world]; ``sigma`` [m/s].
@@ -19,7 +20,7 @@ def base_speed(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> 
     return torch.exp(-velocity.square().sum(-1, keepdim=True) / sigma**2)
 
 
-def capture_point(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+def capture_point(td: TensorDictBase, next_td: TensorDictBase, *, sigma: Positive) -> Tensor:
     """High when the robot could come to rest over its feet without another step.
 
     ``exp(-|xi|^2 / sigma^2)``, with ``xi = x + v sqrt(z / g)`` the instantaneous capture point of
@@ -38,7 +39,7 @@ def capture_point(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) 
 
 
 def vertical_com_speed(
-    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: Positive, epsilon: OpenFraction
 ) -> Tensor:
     """High when the center of mass does not rise or sink: ``rbf(v_z, 0)``.
 
@@ -51,7 +52,12 @@ def vertical_com_speed(
 
 
 def com_velocity_to_support(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the center of mass moves to the middle of its support, faster from far away.
 
@@ -74,9 +80,9 @@ def centroidal_momentum(
     td: TensorDictBase,
     next_td: TensorDictBase,
     *,
-    linear: float,
-    angular: float,
-    epsilon: float,
+    linear: Positive,
+    angular: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the robot as a whole neither travels nor turns: ``rbf(|p| / P + |L| / A, 0)``.
 

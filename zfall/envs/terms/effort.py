@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.terms.kernels import rbf
+from zfall.values import OpenFraction, Positive
 
 
 def action_rate(td: TensorDictBase, next_td: TensorDictBase, *, per_joint: bool = False) -> Tensor:
@@ -22,7 +23,12 @@ def action_rate(td: TensorDictBase, next_td: TensorDictBase, *, per_joint: bool 
 
 
 def commanded_velocity(
-    td: TensorDictBase, next_td: TensorDictBase, *, limit: float, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    limit: Positive,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the action asks for little motion: ``rbf(limit clamp(a, -1, 1), 0)``.
 
@@ -37,7 +43,7 @@ def commanded_velocity(
 
 
 def joint_effort(
-    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: Positive, epsilon: OpenFraction
 ) -> Tensor:
     """High when the servos do little: ``rbf(mean |torque|, 0)``.
 

@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.rotations import cos_tilt
+from zfall.values import NotNegative, Positive
 
 
 def body_contact(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
@@ -21,7 +22,7 @@ def body_contact(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
     return (next_td["contact_force_peak"][..., :-2] > 0).any(-1, keepdim=True)
 
 
-def tilted(td: TensorDictBase, next_td: TensorDictBase, *, angle: float) -> Tensor:
+def tilted(td: TensorDictBase, next_td: TensorDictBase, *, angle: Positive) -> Tensor:
     """Whether the trunk leans by more than ``angle`` [rad].
 
     Reads ``base_orientation`` ``(*B, 4)``. Returns ``(*B, 1)`` bool.
@@ -29,7 +30,7 @@ def tilted(td: TensorDictBase, next_td: TensorDictBase, *, angle: float) -> Tens
     return cos_tilt(next_td["base_orientation"]) < math.cos(angle)
 
 
-def low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor:
+def low(td: TensorDictBase, next_td: TensorDictBase, *, height: NotNegative) -> Tensor:
     """Whether the center of mass is lower than ``height`` [m] above the floor.
 
     Reads ``com_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)`` bool.
@@ -38,7 +39,7 @@ def low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor
 
 
 def base_height(
-    td: TensorDictBase, next_td: TensorDictBase, *, lowest: float, highest: float
+    td: TensorDictBase, next_td: TensorDictBase, *, lowest: NotNegative, highest: Positive
 ) -> Tensor:
     """Whether the base is lower than ``lowest`` or higher than ``highest`` [m].
 

@@ -7,6 +7,7 @@ from torch import Tensor
 from zfall.envs.terms.kernels import rbf
 from zfall.robots import GRAVITY, Robot
 from zfall.rotations import up_axis
+from zfall.values import OpenFraction, Positive
 
 
 def feet_in_contact(td: TensorDictBase, next_td: TensorDictBase, *, both: bool = False) -> Tensor:
@@ -24,8 +25,8 @@ def balanced_load(
     next_td: TensorDictBase,
     *,
     robot: Robot,
-    cutoff: float,
-    epsilon: float,
+    cutoff: Positive,
+    epsilon: OpenFraction,
     per_foot: bool = False,
 ) -> Tensor:
     """High where each foot carries half of the robot: mean over feet of ``rbf(F_z, m g / 2)``.
@@ -45,8 +46,8 @@ def centered_pressure(
     td: TensorDictBase,
     next_td: TensorDictBase,
     *,
-    cutoff: float,
-    epsilon: float,
+    cutoff: Positive,
+    epsilon: OpenFraction,
     per_foot: bool = False,
 ) -> Tensor:
     """High where each foot is pressed on at its center: mean over feet of ``rbf(cop, 0)``.
@@ -66,8 +67,8 @@ def flat_feet(
     td: TensorDictBase,
     next_td: TensorDictBase,
     *,
-    cutoff: float,
-    epsilon: float,
+    cutoff: Positive,
+    epsilon: OpenFraction,
     per_foot: bool = False,
 ) -> Tensor:
     """High where the soles are level: mean over feet of ``rbf(r_z . e_z, 1)``.
@@ -84,7 +85,12 @@ def flat_feet(
 
 
 def carried_weight(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the feet together carry the robot: ``rbf(sum F_z, m g)``.
 
@@ -99,7 +105,7 @@ def carried_weight(
 
 
 def tangential_force(
-    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: Positive, epsilon: OpenFraction
 ) -> Tensor:
     """High when no foot pushes sideways: ``rbf(F_xy, 0)`` over both feet.
 

@@ -4,17 +4,16 @@ Source: Duburcq et al., "Reactive stepping for humanoid robots using reinforceme
 application to standing push recovery on the exoskeleton Atalante", IROS 2022, section IV-C.
 """
 
-from collections.abc import Sequence
-
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.terms.footprints import footprint_distance, footprints
 from zfall.robots import Robot
 from zfall.rotations import roll_and_pitch, up_axis
+from zfall.values import Bounds, NotNegative, Positive
 
 
-def base_low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> Tensor:
+def base_low(td: TensorDictBase, next_td: TensorDictBase, *, height: NotNegative) -> Tensor:
     """Whether the base is not higher than ``height`` [m] above the floor.
 
     Reads ``base_position`` ``(*B, 3)`` [m]. Returns ``(*B, 1)`` bool. Source: IV-C.1.
@@ -23,7 +22,7 @@ def base_low(td: TensorDictBase, next_td: TensorDictBase, *, height: float) -> T
 
 
 def base_tilted(
-    td: TensorDictBase, next_td: TensorDictBase, *, roll: Sequence[float], pitch: Sequence[float]
+    td: TensorDictBase, next_td: TensorDictBase, *, roll: Bounds, pitch: Bounds
 ) -> Tensor:
     """Whether roll or pitch of the base leave their ranges [rad], positive right and forward.
 
@@ -35,7 +34,7 @@ def base_tilted(
 
 
 def feet_close(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, distance: float
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, distance: NotNegative
 ) -> Tensor:
     """Whether the footprints are within ``distance`` [m] of each other.
 
@@ -45,7 +44,7 @@ def feet_close(
     return (footprint_distance(*footprints(next_td, robot)) <= distance).unsqueeze(-1)
 
 
-def stop_hit(td: TensorDictBase, next_td: TensorDictBase, *, speed: float) -> Tensor:
+def stop_hit(td: TensorDictBase, next_td: TensorDictBase, *, speed: NotNegative) -> Tensor:
     """Whether a joint was at a stop with ``speed`` [rad/s] or more during the step.
 
     Reads ``joint_stop_speed`` ``(*B, 1)`` [rad/s], see ``JointStopSpeed``. Returns ``(*B, 1)``
@@ -55,7 +54,7 @@ def stop_hit(td: TensorDictBase, next_td: TensorDictBase, *, speed: float) -> Te
 
 
 def drifted(
-    td: TensorDictBase, next_td: TensorDictBase, *, x: float, y: float, heading: float
+    td: TensorDictBase, next_td: TensorDictBase, *, x: Positive, y: Positive, heading: Positive
 ) -> Tensor:
     """Whether the robot has gone or turned too far: ``x``, ``y`` [m], ``heading`` [rad].
 
@@ -67,7 +66,7 @@ def drifted(
     return (displacement >= bound).any(-1, keepdim=True)
 
 
-def reference_left(td: TensorDictBase, next_td: TensorDictBase, *, error: float) -> Tensor:
+def reference_left(td: TensorDictBase, next_td: TensorDictBase, *, error: Positive) -> Tensor:
     """Whether the robot has not been within ``error`` [rad] of its reference for a while.
 
     Reads ``joint_error_min`` ``(*B, 1)`` [rad], see ``JointErrorMin``. Returns ``(*B, 1)`` bool.
@@ -76,7 +75,7 @@ def reference_left(td: TensorDictBase, next_td: TensorDictBase, *, error: float)
     return next_td["joint_error_min"] >= error
 
 
-def overpowered(td: TensorDictBase, next_td: TensorDictBase, *, power: float) -> Tensor:
+def overpowered(td: TensorDictBase, next_td: TensorDictBase, *, power: Positive) -> Tensor:
     """Whether the joints put out ``power`` [W] or more.
 
     Reads ``power`` ``(*B, 1)`` [W], see ``JointPower``. Returns ``(*B, 1)`` bool. Source:

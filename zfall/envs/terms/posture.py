@@ -11,6 +11,7 @@ from torch import Tensor
 from zfall.envs.terms.kernels import rbf
 from zfall.robots import Robot
 from zfall.rotations import cos_tilt
+from zfall.values import OpenFraction, Positive
 
 
 def survival(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
@@ -26,7 +27,7 @@ def termination(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
     return next_td["terminated"].float()
 
 
-def upright(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Tensor:
+def upright(td: TensorDictBase, next_td: TensorDictBase, *, sigma: Positive) -> Tensor:
     """High when the trunk is vertical: ``exp(-(1 - cos(tilt)) / sigma)``.
 
     Reads ``base_orientation`` ``(*B, 4)``; ``sigma`` has no unit. Returns ``(*B, 1)`` in (0, 1].
@@ -35,7 +36,7 @@ def upright(td: TensorDictBase, next_td: TensorDictBase, *, sigma: float) -> Ten
 
 
 def reference_posture(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: float
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: Positive
 ) -> Tensor:
     """High in the standing reference pose: ``exp(-|q - q0|^2 / sigma^2)``.
 
@@ -47,7 +48,12 @@ def reference_posture(
 
 
 def double_support_posture(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High in the standing reference pose, with both feet on the floor: ``rbf(q, q0)``.
 
@@ -63,7 +69,7 @@ def double_support_posture(
 
 
 def standing_height(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: float
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, sigma: Positive
 ) -> Tensor:
     """High when the center of mass is as high as when standing: ``exp(-(z - h0)^2 / sigma^2)``.
 

@@ -23,10 +23,16 @@ from zfall.rotations import (
     turn_between,
 )
 from zfall.simulation.stance import stance
+from zfall.values import OpenFraction, Positive
 
 
 def odometry_velocity(
-    td: TensorDictBase, next_td: TensorDictBase, *, radius: float, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    radius: Positive,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the robot stays where it is: ``rbf((v_x, v_y, radius w_z), 0)``.
 
@@ -47,8 +53,8 @@ def reference_configuration(
     next_td: TensorDictBase,
     *,
     robot: Robot,
-    cutoff: float,
-    epsilon: float,
+    cutoff: Positive,
+    epsilon: OpenFraction,
     joints: str = "legs",
 ) -> Tensor:
     """High in the standing reference pose: ``rbf(q, q0)``, of the joints of the legs or of all.
@@ -76,7 +82,12 @@ def configuration_error(position: Tensor, robot: Robot, joints: str) -> Tensor:
 
 
 def feet_relative_position(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the feet are as far apart as in the reference: ``rbf(p, p0)``.
 
@@ -97,7 +108,12 @@ def feet_relative_position(
 
 
 def feet_relative_orientation(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the feet are turned against each other as in the reference.
 
@@ -118,7 +134,7 @@ def feet_relative_orientation(
 
 
 def base_turning(
-    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: float, epsilon: float
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: Positive, epsilon: OpenFraction
 ) -> Tensor:
     """High when the base does not turn: ``rbf(w, 0)``, w its mean since the step before.
 

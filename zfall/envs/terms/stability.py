@@ -12,6 +12,7 @@ from zfall.envs.terms.kernels import rbf
 from zfall.robots import GRAVITY, Robot
 from zfall.rotations import turn_to_heading
 from zfall.simulation.stance import stance
+from zfall.values import OpenFraction, Positive
 
 _LEAST_LOAD = 0.1  # share of the weight: in flight the zero-moment point does not exist
 
@@ -61,7 +62,12 @@ def zero_moment_point(td: TensorDictBase, mass: float) -> Tensor:
 
 
 def capture_point_in_base(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the capture point lies below the base as it does in the reference.
 
@@ -79,7 +85,12 @@ def capture_point_in_base(
 
 
 def centered_zero_moment_point(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, cutoff: float, epsilon: float
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    cutoff: Positive,
+    epsilon: OpenFraction,
 ) -> Tensor:
     """High when the zero-moment point lies in the middle of the footprints, on the floor or not.
 

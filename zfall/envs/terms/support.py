@@ -8,6 +8,7 @@ from torch import Tensor
 
 from zfall.robots import Robot
 from zfall.rotations import rotate
+from zfall.values import NotNegative
 
 _FLAT = 1e-6  # [m]: closer to a line than this, a point counts as on it
 
@@ -169,7 +170,7 @@ def hull_center(hull: Hull) -> Tensor:
 
 
 def com_in_support(
-    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, margin: float
+    td: TensorDictBase, next_td: TensorDictBase, *, robot: Robot, margin: NotNegative
 ) -> Tensor:
     """1 where the center of mass lies above the support polygon, shrunk by ``margin`` [m].
 

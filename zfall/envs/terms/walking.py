@@ -11,9 +11,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.rotations import rotate_inverse
+from zfall.values import NotNegative, Positive
 
 
-def forward_velocity(td: TensorDictBase, next_td: TensorDictBase, *, limit: float) -> Tensor:
+def forward_velocity(td: TensorDictBase, next_td: TensorDictBase, *, limit: Positive) -> Tensor:
     """Velocity forward, ``min(v_x, limit)`` [m/s].
 
     Reads ``base_linear_velocity`` ``(*B, 3)`` [m/s; world] and ``base_orientation``
@@ -31,7 +32,7 @@ def lateral_velocity(td: TensorDictBase, next_td: TensorDictBase) -> Tensor:
     return _base_velocity(next_td)[..., 1:2].abs()
 
 
-def feet_air_time(td: TensorDictBase, next_td: TensorDictBase, *, threshold: float) -> Tensor:
+def feet_air_time(td: TensorDictBase, next_td: TensorDictBase, *, threshold: NotNegative) -> Tensor:
     """Time that feet were in the air, paid when they touch down.
 
     ``sum over feet of (t - threshold)`` [s] in the step of the touchdown, 0 else: a step of the

@@ -1,6 +1,6 @@
 """Commands: how the robot shall move."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
@@ -13,6 +13,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.pushes.draws import between, check_range
 from zfall.envs.transforms.values import reset_rows
+from zfall.values import Bounds, Times
 
 ENTRIES = ("vx", "vy", "yaw", "height", "roll", "pitch")
 
@@ -55,8 +56,8 @@ class Command(Transform):
         self,
         env: HumanoidEnv,
         *,
-        ranges: Mapping[str, Sequence[float]] | None = None,
-        interval: Sequence[float] | None = None,
+        ranges: Mapping[str, Bounds] | None = None,
+        interval: Times | None = None,
     ):
         super().__init__(in_keys=[], out_keys=["command"])
         needs_env(self, env, "a memory of each world")

@@ -12,6 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.simulation.parameters import ANY_NUMBER
+from zfall.values import Fraction, NotNegative
 
 _COUNTS = {"steps", "max_steps", "rule"}  # fields in whole steps, not of one world
 
@@ -51,10 +52,10 @@ class Curriculum(Transform):
         env: HumanoidEnv,
         *,
         fields: Mapping[str, Sequence[Any]],
-        up: float = 0.05,
-        down: float = 0.05,
+        up: NotNegative = 0.05,
+        down: NotNegative = 0.05,
         stepwise: bool = False,
-        level: float = 0.0,
+        level: Fraction = 0.0,
         success: str | None = None,
     ):
         super().__init__()

@@ -20,6 +20,7 @@ from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.values import reset_rows
 from zfall.rotations import roll_and_pitch
+from zfall.values import Positive
 
 
 def steady_update(kalman: KalmanFilter) -> Tensor:
@@ -98,9 +99,9 @@ class TiltKalmanFilter(Transform):
         self,
         env: HumanoidEnv,
         *,
-        gyro_std: float = 0.02,
-        bias_rate: float = 0.002,
-        angle_std: float = 0.2,
+        gyro_std: Positive = 0.02,
+        bias_rate: Positive = 0.002,
+        angle_std: Positive = 0.2,
     ):
         super().__init__(
             in_keys=["base_acceleration", "base_angular_velocity", "projected_gravity"],
@@ -186,7 +187,7 @@ class JointVelocityKalmanFilter(Transform):
     measured = True  # sensing must come before it
 
     def __init__(
-        self, env: HumanoidEnv, *, position_std: float = 0.01, acceleration_std: float = 10.0
+        self, env: HumanoidEnv, *, position_std: Positive = 0.01, acceleration_std: Positive = 10.0
     ):
         super().__init__(in_keys=["joint_position"], out_keys=[("measured", "joint_velocity")])
         needs_env(self, env, "a memory of each world")

@@ -11,6 +11,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
+from zfall.values import FractionBelowOne
 
 
 class CorrelatedNoise(Transform):
@@ -36,7 +37,7 @@ class CorrelatedNoise(Transform):
 
     noise: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, correlation: float):
+    def __init__(self, env: HumanoidEnv, *, correlation: FractionBelowOne):
         super().__init__(out_keys=["exploration_noise"])
         needs_env(self, env, "a memory of each world")
         if not 0 <= correlation < 1:

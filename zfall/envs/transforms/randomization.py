@@ -14,6 +14,7 @@ from zfall.envs.transforms.base_env import base_env_of, needs_env, on_data
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 from zfall.rotations import rotate
 from zfall.simulation.parameters import ANY_NUMBER
+from zfall.values import NotNegative, Positive
 
 _KINDS = ("uniform", "log_uniform", "normal")
 
@@ -46,7 +47,7 @@ class DomainRandomization(Transform):
         env: HumanoidEnv,
         *,
         params: Mapping[str, Mapping[str, Any]],
-        interval: float | None = None,
+        interval: Positive | None = None,
     ):
         super().__init__(in_keys_inv=["params"], out_keys_inv=["params"])
         needs_env(self, env, "physics to act on")
@@ -229,7 +230,7 @@ class ImuMisalignment(Transform):
         self,
         env: HumanoidEnv,
         *,
-        angle: float,
+        angle: NotNegative,
         keys: Sequence[str] = ("projected_gravity", "base_angular_velocity", "base_acceleration"),
     ):
         super().__init__(in_keys=list(keys), out_keys=[("measured", key) for key in keys])

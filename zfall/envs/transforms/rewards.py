@@ -1,7 +1,7 @@
 """The reward: a table of weighted terms."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -12,6 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms import bind
 from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.errors import in_one_line, named
 
 
 class WeightedReward(Transform):
@@ -31,7 +32,10 @@ class WeightedReward(Transform):
     """
 
     def __init__(
-        self, env: HumanoidEnv, *, terms: dict[str, tuple[float | None, Callable[..., Tensor]]]
+        self,
+        env: HumanoidEnv,
+        *,
+        terms: Mapping[str, tuple[float | None, Callable[..., Tensor] | None]],
     ):
         super().__init__()
         needs_env(self, env, "the steps of its worlds")
@@ -46,7 +50,9 @@ class WeightedReward(Transform):
             weight, term = entry
             if not isinstance(weight, (int, float)):
                 raise ValueError(f"terms.{name} must have a number as its weight, got {weight}.")
-            self.terms[name] = weight, bind(term, robot=env.robot, joint_range=env.joint_range)
+            with named(f"terms.{name}"):
+                bound = bind(term, robot=env.robot, joint_range=env.joint_range)
+            self.terms[name] = weight, bound
         if not self.terms:
             raise ValueError("terms must hold at least one term with a weight.")
 
@@ -59,6 +65,8 @@ class WeightedReward(Transform):
                 raise ValueError(
                     f"terms.{name} reads what is not there: {error.args[0]}"
                 ) from error
+            except Exception as error:
+                raise ValueError(f"terms.{name} failed: {in_one_line(error)}") from error
             if value.shape != self.shape:
                 raise ValueError(
                     f"terms.{name} must return {self.shape}, one number per world, "

@@ -1,6 +1,6 @@
 """When an episode ends."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -11,6 +11,8 @@ from torchrl.envs import StepCounter, Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms import bind
 from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.errors import in_one_line, named
+from zfall.values import Positive
 
 
 class Terminations(Transform):
@@ -29,18 +31,19 @@ class Terminations(Transform):
             returns something else.
     """
 
-    def __init__(self, env: HumanoidEnv, *, conditions: dict[str, Callable[..., Tensor] | None]):
+    def __init__(self, env: HumanoidEnv, *, conditions: Mapping[str, Callable[..., Tensor] | None]):
         super().__init__()
         needs_env(self, env, "the ends of episodes")
         self.shape = (env.num_envs, 1)
         for name, condition in conditions.items():
             if condition is not None and not callable(condition):
                 raise ValueError(f"conditions.{name} must be a function or null, got {condition}.")
-        self.conditions = {
-            name: bind(condition, robot=env.robot, joint_range=env.joint_range)
-            for name, condition in conditions.items()
-            if condition is not None
-        }
+        self.conditions = {}
+        for name, condition in conditions.items():
+            if condition is not None:
+                with named(f"conditions.{name}"):
+                    bound = bind(condition, robot=env.robot, joint_range=env.joint_range)
+                self.conditions[name] = bound
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         terminated = next_tensordict["terminated"]
@@ -51,6 +54,8 @@ class Terminations(Transform):
                 raise ValueError(
                     f"conditions.{name} reads what is not there: {error.args[0]}"
                 ) from error
+            except Exception as error:
+                raise ValueError(f"conditions.{name} failed: {in_one_line(error)}") from error
             if holds.shape != self.shape or holds.dtype != bool_:
                 raise ValueError(
                     f"conditions.{name} must return {self.shape} bool, one per world, "
@@ -78,7 +83,7 @@ class Terminations(Transform):
         return observation_spec
 
 
-def time_limit(env: HumanoidEnv, *, seconds: float, ends: bool = False) -> StepCounter:
+def time_limit(env: HumanoidEnv, *, seconds: Positive, ends: bool = False) -> StepCounter:
     """Truncates an episode after so many seconds; counts its steps under ``step_count``.
 
     Args:

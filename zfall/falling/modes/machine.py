@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -17,6 +17,7 @@ from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import tilt
+from zfall.values import Fraction, NotNegativeOrInfinite, Positive, PositiveOrInfinite, one_of
 
 MODES = ("recover", "kneel", "stable")
 RECOVER, KNEEL, STABLE = range(3)
@@ -137,15 +138,15 @@ class ModeMachine(Transform):
         self,
         env: HumanoidEnv,
         *,
-        angle: float = 0.5,
-        angular_velocity: float = 2.0,
-        hold: float = 0.2,
-        rest: float = 0.5,
-        rest_speed: float = 0.1,
-        rest_joint_speed: float = 0.1,
-        back: float | None = None,
-        probability: float | None = None,
-        initial: str = "recover",
+        angle: NotNegativeOrInfinite = 0.5,
+        angular_velocity: NotNegativeOrInfinite = 2.0,
+        hold: Positive = 0.2,
+        rest: Positive = 0.5,
+        rest_speed: PositiveOrInfinite = 0.1,
+        rest_joint_speed: PositiveOrInfinite = 0.1,
+        back: Positive | None = None,
+        probability: Fraction | None = None,
+        initial: Annotated[str, one_of(*MODES)] = "recover",
     ):
         super().__init__(in_keys=["base_orientation"], out_keys=["mode"])
         needs_env(self, env, "a memory of each world")

@@ -1,6 +1,5 @@
 """The probability of a fall as a quantity of the env."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -13,6 +12,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import reset_rows
+from zfall.values import Names
 
 
 class FallPredictor(Transform):
@@ -36,7 +36,7 @@ class FallPredictor(Transform):
     memory: Tensor
     measured = True  # sensing must come before it
 
-    def __init__(self, env: HumanoidEnv, *, network: Any, keys: Sequence[str]):
+    def __init__(self, env: HumanoidEnv, *, network: Any, keys: Names):
         super().__init__(in_keys=list(keys), out_keys=["fall_probability"])
         needs_env(self, env, "a memory of each world")
         known = getattr(network, "trained_with", None)

@@ -1,5 +1,7 @@
 """Commands that arrive late."""
 
+from typing import Annotated
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -10,6 +12,7 @@ from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.values import reset_rows
+from zfall.values import NotNegative, NotNegativeBounds, one_of
 
 
 class ActuatorDelay(Transform):
@@ -45,10 +48,10 @@ class ActuatorDelay(Transform):
         self,
         env: HumanoidEnv,
         *,
-        delay: tuple[float, float],
-        max_delay: float = 0.1,
-        per: str = "episode",
-        joints: str = "shared",
+        delay: NotNegativeBounds,
+        max_delay: NotNegative = 0.1,
+        per: Annotated[str, one_of("episode", "step")] = "episode",
+        joints: Annotated[str, one_of("shared", "own")] = "shared",
     ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
         needs_env(self, env, "a memory of each world's commands")

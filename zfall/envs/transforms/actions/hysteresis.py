@@ -9,6 +9,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.values import NotNegative
 
 
 class Backlash(Transform):
@@ -33,7 +34,7 @@ class Backlash(Transform):
 
     level: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, width: float):
+    def __init__(self, env: HumanoidEnv, *, width: NotNegative):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
         needs_env(self, env, "a memory of each world's commands")
         if not width >= 0:
@@ -80,7 +81,7 @@ class Deadband(Transform):
 
     level: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, width: float):
+    def __init__(self, env: HumanoidEnv, *, width: NotNegative):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
         needs_env(self, env, "a memory of each world's commands")
         if not width >= 0:

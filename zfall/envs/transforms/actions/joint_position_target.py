@@ -13,6 +13,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.action import read_action, replace_control
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.values import per_world
+from zfall.values import Positive
 
 
 class JointPositionTarget(Transform):
@@ -39,7 +40,7 @@ class JointPositionTarget(Transform):
     reference: Tensor
     range: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, scale: float):
+    def __init__(self, env: HumanoidEnv, *, scale: Positive):
         super().__init__(in_keys_inv=["target"], out_keys_inv=["action"])
         if not scale > 0:
             raise ValueError(f"scale must be positive, got {scale}.")

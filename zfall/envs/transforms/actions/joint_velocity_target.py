@@ -14,6 +14,7 @@ from zfall.envs.transforms.actions.action import read_action, replace_control
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.values import Positive
 
 
 class JointVelocityTarget(Transform):
@@ -67,8 +68,8 @@ class JointVelocityTarget(Transform):
         self,
         env: HumanoidEnv,
         *,
-        limit: float,
-        rate: float | None = None,
+        limit: Positive,
+        rate: Positive | None = None,
         feedforward: bool = True,
     ):
         super().__init__(in_keys_inv=["target", "control"], out_keys_inv=["action"])

@@ -9,6 +9,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import POSITIVE, per_world, reset_rows
+from zfall.values import NotNegative
 
 
 class LowPass(Transform):
@@ -35,7 +36,7 @@ class LowPass(Transform):
 
     limits = {"time_constant": POSITIVE}
 
-    def __init__(self, env: HumanoidEnv, *, time_constant: float):
+    def __init__(self, env: HumanoidEnv, *, time_constant: NotNegative):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
         needs_env(self, env, "a memory of each world's commands")
         if not time_constant > 0:

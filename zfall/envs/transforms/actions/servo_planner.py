@@ -11,6 +11,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
 from zfall.envs.transforms.base_env import needs_env
 from zfall.envs.transforms.values import per_world, reset_rows
+from zfall.values import NotNegative, Positive
 
 
 class ServoPlanner(Transform):
@@ -54,8 +55,8 @@ class ServoPlanner(Transform):
         self,
         env: HumanoidEnv,
         *,
-        velocity: float | None = 5.0,
-        acceleration: float | None = 39.0,
+        velocity: Positive | None = 5.0,
+        acceleration: NotNegative | None = 39.0,
     ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
         needs_env(self, env, "a memory of each world's commands")

@@ -1,5 +1,7 @@
 """Errors that last: constant in an episode, or wandering."""
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -15,6 +17,7 @@ from zfall.envs.transforms.observations.measured import (
     read_measured,
 )
 from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world, reset_rows
+from zfall.values import NotNegative
 
 
 class ObservationBias(Transform):
@@ -41,8 +44,8 @@ class ObservationBias(Transform):
         self,
         env: HumanoidEnv,
         *,
-        std: dict[str, float] | None = None,
-        uniform: dict[str, float] | None = None,
+        std: Mapping[str, NotNegative] | None = None,
+        uniform: Mapping[str, NotNegative] | None = None,
     ):
         self.std, self.uniform = dict(std or {}), dict(uniform or {})
         keys = list(dict.fromkeys((*self.std, *self.uniform)))
@@ -106,7 +109,7 @@ class ObservationRandomWalk(Transform):
 
     limits = {"rate": NOT_NEGATIVE}
 
-    def __init__(self, env: HumanoidEnv, *, rate: dict[str, float]):
+    def __init__(self, env: HumanoidEnv, *, rate: Mapping[str, NotNegative]):
         super().__init__(in_keys=list(rate), out_keys=[measured_key(key) for key in rate])
         needs_env(self, env, "a memory of each world")
         check_not_negative("rate", rate)

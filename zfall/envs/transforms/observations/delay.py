@@ -1,5 +1,7 @@
 """Measurements that arrive late."""
 
+from typing import Annotated
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -11,6 +13,7 @@ from zfall.envs.transforms.base_env import base_env_of, check_recorded, needs_en
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.observations.measured import declare_measured, measured_key
 from zfall.envs.transforms.values import reset_rows
+from zfall.values import Names, NotNegative, NotNegativeBounds, one_of
 
 
 class ObservationDelay(Transform):
@@ -48,10 +51,10 @@ class ObservationDelay(Transform):
         self,
         env: HumanoidEnv,
         *,
-        delay: tuple[float, float],
-        keys: list[str],
-        max_delay: float = 0.1,
-        per: str = "episode",
+        delay: NotNegativeBounds,
+        keys: Names,
+        max_delay: NotNegative = 0.1,
+        per: Annotated[str, one_of("episode", "step")] = "episode",
     ):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
         needs_env(self, env, "physics steps that it records")

@@ -15,6 +15,7 @@ from zfall.envs.transforms.observations.measured import (
     read_measured,
 )
 from zfall.envs.transforms.values import reset_rows
+from zfall.values import Fraction, Names
 
 
 class ObservationDropout(Transform):
@@ -36,7 +37,7 @@ class ObservationDropout(Transform):
             env does not have.
     """
 
-    def __init__(self, env: HumanoidEnv, *, probability: float, keys: list[str]):
+    def __init__(self, env: HumanoidEnv, *, probability: Fraction, keys: Names):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
         needs_env(self, env, "a memory of each world")
         if not 0 <= probability < 1:

@@ -12,6 +12,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import generator_of, needs_env, on_data
 from zfall.envs.transforms.observations.vector import vector_spans
 from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
+from zfall.values import Keys, NotNegative
 
 
 class CAPSNeighbours(Transform):
@@ -46,8 +47,8 @@ class CAPSNeighbours(Transform):
         self,
         env: HumanoidEnv | None = None,
         *,
-        sigma: float | Mapping[str, float],
-        keys: list[str] | None = None,
+        sigma: NotNegative | Mapping[str, NotNegative],
+        keys: Keys | None = None,
     ):
         super().__init__(in_keys=["observation"], out_keys=["observation_neighbour"])
         named = dict(sigma) if isinstance(sigma, Mapping) else {"sigma": sigma}

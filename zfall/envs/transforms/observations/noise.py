@@ -1,5 +1,7 @@
 """Noise that is new at every step."""
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite
@@ -13,6 +15,7 @@ from zfall.envs.transforms.observations.measured import (
     read_measured,
 )
 from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
+from zfall.values import NotNegative
 
 
 class ObservationNoise(Transform):
@@ -42,8 +45,8 @@ class ObservationNoise(Transform):
         self,
         env: HumanoidEnv | None = None,
         *,
-        std: dict[str, float] | None = None,
-        uniform: dict[str, float] | None = None,
+        std: Mapping[str, NotNegative] | None = None,
+        uniform: Mapping[str, NotNegative] | None = None,
     ):
         self.std, self.uniform = dict(std or {}), dict(uniform or {})
         keys = list(dict.fromkeys((*self.std, *self.uniform)))

@@ -1,6 +1,6 @@
 """Quantities in units of their ranges."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import torch
 from tensordict import TensorDictBase
@@ -12,6 +12,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.observations.vector import vector_size
+from zfall.values import Bounds, Keys, Name
 
 
 class NormalizedVector(Transform):
@@ -42,10 +43,10 @@ class NormalizedVector(Transform):
         self,
         env: HumanoidEnv,
         *,
-        keys: Sequence[str],
-        ranges: Mapping[str, Sequence[float] | str],
-        out_key: str,
-        onto: Sequence[float] = (-1.0, 1.0),
+        keys: Keys,
+        ranges: Mapping[str, Bounds | str],
+        out_key: Name,
+        onto: Bounds = (-1.0, 1.0),
     ):
         self.keys = [key if isinstance(key, str) else tuple(key) for key in keys]
         super().__init__(in_keys=self.keys, out_keys=[out_key])

@@ -1,5 +1,7 @@
 """The resolution of a sensor."""
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite
@@ -12,6 +14,7 @@ from zfall.envs.transforms.observations.measured import (
     read_measured,
 )
 from zfall.envs.transforms.values import POSITIVE, per_world
+from zfall.values import Positive
 
 
 class Quantization(Transform):
@@ -32,7 +35,7 @@ class Quantization(Transform):
     limits = {"step": POSITIVE}
     forward = on_data
 
-    def __init__(self, *, step: dict[str, float]):
+    def __init__(self, *, step: Mapping[str, Positive]):
         super().__init__(in_keys=list(step), out_keys=[measured_key(key) for key in step])
         for key, value in step.items():
             if not value > 0:

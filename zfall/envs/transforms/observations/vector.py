@@ -10,6 +10,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import read_measured
+from zfall.values import Keys, Name
 
 
 class ObservationVector(Transform):
@@ -29,7 +30,7 @@ class ObservationVector(Transform):
 
     forward = on_data
 
-    def __init__(self, *, keys: list[str], out_key: str, measured: bool):
+    def __init__(self, *, keys: Keys, out_key: Name, measured: bool):
         if not keys:
             raise ValueError(f"keys must name at least one quantity, got {list(keys)}.")
         self.keys = [key if isinstance(key, str) else tuple(key) for key in keys]

@@ -19,6 +19,7 @@ from zfall.envs.transforms.pushes.draws import (
 )
 from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, per_world, reset_rows
 from zfall.robots import GRAVITY
+from zfall.values import Bounds, NotNegative, Positive, PositiveBounds, Times
 
 
 class ThrownBall(Transform):
@@ -54,12 +55,12 @@ class ThrownBall(Transform):
         self,
         env: HumanoidEnv,
         *,
-        speed: Sequence[float],
-        distance: float = 1.0,
-        aim: Sequence[float] = (0.0, 0.1),
-        interval: Sequence[float] | None = None,
-        mean_interval: float | None = None,
-        times: Sequence[float] | None = None,
+        speed: PositiveBounds,
+        distance: Positive = 1.0,
+        aim: Bounds = (0.0, 0.1),
+        interval: Times | None = None,
+        mean_interval: Positive | None = None,
+        times: Sequence[NotNegative] | None = None,
     ):
         keys = [("ball", "launch"), ("ball", "start")]
         super().__init__(in_keys_inv=keys, out_keys_inv=keys)

@@ -20,6 +20,7 @@ from zfall.envs.transforms.pushes.draws import (
     uniform,
 )
 from zfall.envs.transforms.values import NOT_NEGATIVE, reset_rows
+from zfall.values import NotNegative, NotNegativeBounds, Positive, Times
 
 
 class VelocityKick(Transform):
@@ -54,10 +55,10 @@ class VelocityKick(Transform):
         self,
         env: HumanoidEnv,
         *,
-        velocity: Sequence[float],
-        interval: Sequence[float] | None = None,
-        mean_interval: float | None = None,
-        times: Sequence[float] | None = None,
+        velocity: NotNegativeBounds,
+        interval: Times | None = None,
+        mean_interval: Positive | None = None,
+        times: Sequence[NotNegative] | None = None,
         direction: str | Sequence[float] = "planar",
     ):
         key = ("push", "kick")

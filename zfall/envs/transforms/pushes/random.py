@@ -23,6 +23,14 @@ from zfall.envs.transforms.pushes.draws import (
 )
 from zfall.envs.transforms.pushes.force import PushForces
 from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, reset_rows
+from zfall.values import (
+    Bounds,
+    NotNegative,
+    NotNegativeBounds,
+    Positive,
+    PositiveBounds,
+    Times,
+)
 
 
 class RandomPush(Transform):
@@ -77,14 +85,14 @@ class RandomPush(Transform):
         env: HumanoidEnv,
         *,
         point: str | Sequence[str],
-        duration: float | Sequence[float],
-        interval: Sequence[float] | None = None,
-        mean_interval: float | None = None,
-        times: Sequence[float] | None = None,
-        force: Sequence[float] | None = None,
-        impulse: Sequence[float] | None = None,
-        size: Sequence[float] | None = None,
-        axes: Mapping[str, Sequence[float]] | None = None,
+        duration: Positive | PositiveBounds,
+        interval: Times | None = None,
+        mean_interval: Positive | None = None,
+        times: Sequence[NotNegative] | None = None,
+        force: NotNegativeBounds | None = None,
+        impulse: NotNegativeBounds | None = None,
+        size: NotNegativeBounds | None = None,
+        axes: Mapping[str, Bounds] | None = None,
         direction: str | Sequence[float] = "planar",
         profile: str = "rectangular",
     ):

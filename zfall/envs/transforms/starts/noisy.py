@@ -1,7 +1,5 @@
 """Starts in the standing pose with noise."""
 
-from collections.abc import Sequence
-
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Transform
@@ -9,6 +7,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import per_world, refuse_start, two_numbers
+from zfall.values import Bounds, NotNegative
 
 
 class NoisyStart(Transform):
@@ -36,9 +35,9 @@ class NoisyStart(Transform):
         self,
         env: HumanoidEnv,
         *,
-        joint_position: float = 0.0,
-        joint_velocity: float = 0.0,
-        clearance: Sequence[float] | None = None,
+        joint_position: NotNegative = 0.0,
+        joint_velocity: NotNegative = 0.0,
+        clearance: Bounds | None = None,
     ):
         super().__init__()
         needs_env(self, env, "the begin of episodes")

@@ -1,7 +1,5 @@
 """Starts in the midst of reference motions."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,6 +13,7 @@ from zfall.fingerprints import reads_files
 from zfall.motions.library import load_motions, motions_file
 from zfall.rotations import rotate, turned
 from zfall.simulation.quantities import STATE_KEYS
+from zfall.values import Names, NotNegative
 
 
 @reads_files(lambda values, robot: [motions_file(robot)])
@@ -49,9 +48,9 @@ class ReferenceStart(Transform):
         self,
         env: HumanoidEnv,
         *,
-        motions: Sequence[str] | None = None,
-        joint_position: float = 0.0,
-        joint_velocity: float = 0.0,
+        motions: Names | None = None,
+        joint_position: NotNegative = 0.0,
+        joint_velocity: NotNegative = 0.0,
         heading: bool = False,
     ):
         super().__init__()

@@ -10,6 +10,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
+from zfall.values import Positive
 
 
 class JointErrorMin(Transform):
@@ -37,7 +38,7 @@ class JointErrorMin(Transform):
     index: Tensor
     reference: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, seconds: float, joints: str = "legs"):
+    def __init__(self, env: HumanoidEnv, *, seconds: Positive, joints: str = "legs"):
         super().__init__(in_keys=["joint_position"], out_keys=["joint_error_min"])
         needs_env(self, env, "a memory of each world")
         self.steps = window_steps(seconds, env.control_dt) + 1

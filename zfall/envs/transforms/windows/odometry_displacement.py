@@ -11,6 +11,7 @@ from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.envs.transforms.windows.length import window_steps
 from zfall.rotations import heading, wrap
+from zfall.values import Positive
 
 
 class OdometryDisplacement(Transform):
@@ -38,7 +39,7 @@ class OdometryDisplacement(Transform):
     age: Tensor
     slot: Tensor
 
-    def __init__(self, env: HumanoidEnv, *, seconds: float):
+    def __init__(self, env: HumanoidEnv, *, seconds: Positive):
         super().__init__(
             in_keys=["base_position", "base_orientation"], out_keys=["odometry_displacement"]
         )

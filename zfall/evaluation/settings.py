@@ -1,0 +1,55 @@
+"""What ``recipes.evaluate`` was given: checked, as names of policies, as the name of a folder."""
+
+from typing import Any
+
+from omegaconf import DictConfig
+
+from zfall.evaluation.baselines import baseline_names
+from zfall.evaluation.definitions import Battery, table_of
+from zfall.evaluation.kinds import kind_of
+from zfall.evaluation.run import setting_name
+
+
+def check_values(cfg: DictConfig) -> None:
+    """Refuses values of the recipe itself that make no sense."""
+    if (cfg.run is None) == (cfg.runs is None):
+        raise ValueError(
+            f"run must be a run folder, or {' or '.join(baseline_names())}, or runs a list of "
+            f"them; got {'none' if cfg.run is None else 'both'}."
+        )
+    if cfg.video and cfg.trial is None:
+        raise ValueError("video needs a trial, by its number in trials.csv: trial=1000.")
+
+
+def names_of(cfg: DictConfig, battery: Battery) -> list[str]:
+    """The policies to test, each once."""
+    independent = kind_of(battery).independent
+    if cfg.runs is not None and not independent:
+        raise ValueError(
+            f"runs needs a battery whose trials are the same for all; {battery.name} is not."
+        )
+    if cfg.trial is not None and (cfg.keep or not independent):
+        raise ValueError(
+            f"trial needs a battery whose trials are independent, and no keep; got {battery.name}."
+        )
+    return [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
+
+
+def setting_of(cfg: DictConfig, options: dict[str, Any], name: str, servo: str | None) -> str:
+    """Name of the folder of results, from all that was given and changes them.
+
+    Args:
+        cfg: of the recipe.
+        options: numbers of the battery that it replaces.
+        name: of the battery's yaml.
+        servo: the servos chosen; ``None``: those of the training.
+    """
+    stored = table_of(name)
+    differs = {str(key): v for key, v in cfg.battery.items() if v != stored[key]}
+    given = options | {key: v for key, v in differs.items() if key not in options}
+    given |= {"servo": servo} if servo else {}
+    given |= {"change": cfg.change} if cfg.change else {}
+    given |= {"keep": sorted(cfg.keep)} if cfg.keep else {}
+    given |= {"seed": cfg.seed} if cfg.seed != 0 else {}
+    given |= {"checkpoint": cfg.checkpoint} if cfg.checkpoint != "last" else {}
+    return setting_name(name, given)

@@ -1,0 +1,72 @@
+"""How a training begins, or goes on: everything is checked before anything is written."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig
+from rich.console import Console
+from torch import Tensor
+
+from zfall import checkpoint
+from zfall.commands import shown_path
+from zfall.simulation.model import identity_of
+from zfall.training.learner import Learner
+from zfall.training.loop import number_of_updates, resumed_config, try_one_step
+from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
+from zfall.training.warm_start import warm_start
+
+
+def begin(
+    folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console
+) -> tuple[Learner, RunFolder, dict[str, Tensor]]:
+    """All that training takes, nothing written before all is checked; and the untrained weights.
+
+    Args:
+        folder: of the run, which is ours alone.
+        cfg: as composed.
+        overrides: from the shell.
+        console: shows what was repaired.
+
+    Raises:
+        ValueError: on a config or a checkpoint of which no training can be made.
+    """
+    state, path = None, folder / "checkpoints" / "last.pt"
+    if cfg.resume is not None:
+        state = checkpoint.load(path, checkpoint.TRAINING)
+        check_version(state["run"], folder)
+        cfg = resumed_config(state["config"], cfg, overrides, folder)
+    elif holds_run(folder):
+        resumable = path.exists()
+        repair = f"resume={shown_path(folder)} goes on with it" if resumable else "remove it"
+        raise ValueError(
+            f"hydra.run.dir must be a folder without a run, {folder} holds one"
+            f"{'' if resumable else ' without a checkpoint'}; {repair}."
+        )
+    try_one_step(cfg.env)
+    learner = Learner(cfg)
+    if cfg.warm_start is not None:
+        try:
+            warm_start(learner, cfg.warm_start)
+        except (ValueError, OSError):
+            if state is None:  # a run that goes on needs it only to show what was before
+                raise
+    untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
+    if state is not None:
+        robot = identity_of(learner.env.base_env.robot)
+        checkpoint.check_fits(state, robot, learner.actor, folder)
+        if number_of_updates(learner) < state["updates"]:
+            raise ValueError(
+                f"total_frames must not be less than the {state['frames']} that {folder} has "
+                f"behind it, got {cfg.total_frames}."
+            )
+        with checkpoint.reading(path):
+            learner.load_state_dict(state)
+    run = RunFolder(folder, cfg)
+    if state is None:
+        write_config(cfg, overrides, folder)
+    else:
+        with checkpoint.reading(path):
+            notes = run.load_state_dict(state["run"])
+        for line in notes:
+            console.print(line, soft_wrap=True)
+    return learner, run, untrained

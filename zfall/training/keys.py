@@ -1,0 +1,76 @@
+"""The keys of ``recipes/train.yaml``, and what their values may be; loads nothing."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
+
+from zfall.values import (
+    Count,
+    Fraction,
+    FractionAboveZero,
+    FractionBelowOne,
+    Name,
+    Node,
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    Rule,
+    Seed,
+    Whole,
+)
+
+
+class LossKeys(TypedDict):
+    """The group ``loss`` of ``recipes/train.yaml``."""
+
+    gamma: Fraction
+    lmbda: Fraction
+    clip_epsilon: FractionAboveZero
+    critic_coeff: NotNegative
+    entropy_coeff: NotNegative
+    normalize_advantage: Literal["minibatch", "batch"] | None
+    kl_stop: Positive | None
+    kl_coeff: NotNegative
+    kl_target: Positive | None
+    value_clip: Positive | None
+    value_error_clip: Positive | None
+
+
+class Showcase(TypedDict):
+    """What is shown at the end of a training."""
+
+    sizes: Annotated[Sequence[Positive], Rule("hold at least one size", lambda x: len(x) > 0)]
+    starts: Count
+    video: bool
+
+
+class TrainKeys(TypedDict):
+    """The keys of ``recipes/train.yaml``."""
+
+    seed: Seed
+    num_envs: Count
+    groups: Count | None
+    total_frames: Positive
+    alike: Count
+    rollout_steps: Count
+    epochs: Count
+    minibatches: Count
+    burn_in: Whole
+    max_grad_norm: PositiveOrInfinite
+    averaging: FractionBelowOne
+    resume: Name | None
+    warm_start: Name | None
+    checkpoint_every: Count
+    name: Name | int | None
+    logger: Sequence[Node] | None
+    auxiliary_losses: Mapping[str, Node]
+    auxiliary_share: FractionAboveZero
+    augmentation: Node | None
+    optimizer: Node
+    scheduler: Node | None
+    showcase: Showcase | None
+    env: Node
+    actor: Node
+    critic: Node
+    loss: Mapping[str, Any]
+    trust: Sequence[Name]
+    experiment: NotRequired[Any]
