@@ -1,6 +1,7 @@
 """A run of a study: trained, tested, written down."""
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,7 +68,7 @@ def train(cfg: DictConfig, folder: Path) -> None:
     with FileLock(folder.with_suffix(".lock")), trusting(targets_of(cfg)):
         if (
             not last.exists()
-            or checkpoint.load(last, checkpoint.TRAINING)["run"].get("version") != VERSION
+            or checkpoint.load(last, {"run": Mapping})["run"].get("version") != VERSION
         ):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
