@@ -42,12 +42,13 @@ class WeightedReward(Transform):
         self.shape = (env.num_envs, 1)
         self.terms = {}
         for name, entry in terms.items():
-            pair = isinstance(entry, (list, tuple)) and len(entry) == 2
-            if pair and entry[0] is None:
-                continue
-            if not (pair and callable(entry[1])):
+            if not (isinstance(entry, (list, tuple)) and len(entry) == 2):
                 raise ValueError(f"terms.{name} must be [weight, function], got {entry}.")
             weight, term = entry
+            if weight is None:
+                continue
+            if not callable(term):
+                raise ValueError(f"terms.{name} must be [weight, function], got {entry}.")
             if not isinstance(weight, (int, float)):
                 raise ValueError(f"terms.{name} must have a number as its weight, got {weight}.")
             with named(f"terms.{name}"):

@@ -1,7 +1,7 @@
 """What of a transform differs from world to world: its numbers, and when an episode begins."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -57,7 +57,7 @@ def per_world(value: float | Tensor, dims: int) -> float | Tensor:
     return value
 
 
-def check_not_negative(name: str, values: dict[str, float]) -> None:
+def check_not_negative(name: str, values: Mapping[str, float]) -> None:
     """Raises ``ValueError`` on what is no finite number from 0 on, naming the key ``name.KEY``."""
     for key, value in values.items():
         if not isinstance(value, Real) or value == math.inf:

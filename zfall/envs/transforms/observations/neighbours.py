@@ -56,7 +56,8 @@ class CAPSNeighbours(Transform):
         unknown = [name for name in named if name not in (keys or [])]
         if isinstance(sigma, Mapping) and unknown:
             raise ValueError(
-                f"sigma must name quantities of keys ({', '.join(keys or [])}), got {unknown[0]}."
+                f"sigma must name quantities of keys ({', '.join(map(str, keys or []))}), "
+                f"got {unknown[0]}."
             )
         self.sigma, self.keys = named, keys or []
         if env is not None:
