@@ -49,6 +49,18 @@ def test_their_spread_may_differ_from_world_to_world(make_base, sigma):
     assert drawn[:, 1, 3:].std().item() == pytest.approx(0.5, rel=0.05)
 
 
+def test_a_sigma_by_name_counts_in_each_frame_of_a_stack():
+    near = CAPSNeighbours(sigma={"joint_position": 0.1}, keys=KEYS)
+    data = {"projected_gravity": torch.zeros(1000, 3), "joint_position": torch.zeros(1000, 20)}
+    td = TensorDict({**data, "observation": torch.zeros(1000, 2 * 23)}, [1000])
+    frames = near._call(td)["observation_neighbour"].unflatten(-1, (2, 23))
+    assert not frames[..., :3].any()
+    assert_close(frames[..., 3:].std((0, 2)), torch.full((2,), 0.1), rtol=0.05, atol=0.0)
+    td["observation"] = torch.zeros(1000, 24)
+    with pytest.raises(ValueError, match=r"keys must be all quantities .* 23 .* 24"):
+        near._call(td)
+
+
 def test_a_replay_buffer_draws_new_ones_with_every_sample():
     buffer = ReplayBuffer(storage=LazyTensorStorage(100), batch_size=1000)
     buffer.append_transform(CAPSNeighbours(sigma=0.3))

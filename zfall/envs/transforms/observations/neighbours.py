@@ -70,13 +70,23 @@ class CAPSNeighbours(Transform):
             self.spans = vector_spans(next_tensordict, self.keys)
         noise = torch.randn(observation.shape, generator=generator_of(self))
         if self.spans:
-            spread = torch.zeros_like(noise)
-            for name, value in self.sigma.items():
-                spread[..., self.spans[name]] = per_world(value, noise.ndim)
-            noise *= spread
+            noise *= self._spread(noise, self.spans)
         else:
             noise *= per_world(self.sigma["sigma"], noise.ndim)
         return next_tensordict.set("observation_neighbour", observation + noise)
+
+    def _spread(self, noise: Tensor, spans: Mapping[str, slice]) -> Tensor:
+        """Standard deviation of each component ``(N, D)``; the same in each frame of a stack."""
+        size, width = noise.shape[-1], max(span.stop for span in spans.values())
+        if size % width:
+            raise ValueError(
+                f"keys must be all quantities of the observation, or of each frame of a stack: "
+                f"they have {width} values, the observation has {size}."
+            )
+        spread = torch.zeros(*noise.shape[:-1], width)
+        for name, value in self.sigma.items():
+            spread[..., spans[name]] = per_world(value, noise.ndim)
+        return spread.repeat(*[1] * (noise.ndim - 1), size // width)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
