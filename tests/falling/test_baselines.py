@@ -37,8 +37,8 @@ def test_a_scripted_kneel_goes_to_the_kneel_however_fast_the_fall(compose_config
     cfg = compose_config("env=push_to_kneel", "num_envs=1").env
     reached = {}
     for name in ("scripted_kneel", "scripted_catch"):
-        transforms = instantiate(load_baseline(name).world(cfg)).transform
-        reference = next(t for t in transforms if isinstance(t, KneelReference))
+        env = instantiate(load_baseline(name).world(cfg))
+        reference = next(t for t in env.transform if isinstance(t, KneelReference))
         for _ in range(20):
             td = TensorDict(
                 {
