@@ -110,7 +110,7 @@ def _end_worlds(after: TensorDictBase) -> None:
     """Ends the worlds that have values not finite, and puts 0 for these."""
     worlds = torch.zeros(after.batch_size, dtype=torch.bool)
     for key, value in _floats(after).items():
-        worlds |= ~value.isfinite().flatten(1).all(-1)
+        worlds |= ~value.isfinite().reshape(len(worlds), -1).all(-1)
         _clean(after, key)
     for key in {"diverged", "terminated", "done"} & set(after.keys()):
         after[key] = after[key] | worlds[:, None]
