@@ -54,6 +54,19 @@ def test_a_restored_a_copied_and_a_pickled_env_go_on_bit_for_bit(task):
     assert_same(expected, go_on(env, td, 40, seed=2)[0])
 
 
+def test_a_state_stays_as_it_is_when_tensors_are_changed_in_place():
+    env = build_task("push_recovery", num_envs=3)
+    _, td = go_on(env, env.reset(), 5, seed=1)
+    state = env.state_dict()
+    observed = {key: value.clone() for key, value in state["base_env"]["observed"].items()}
+    td.zero_()
+    env.load_state_dict(state)
+    env.reset(td.set("_reset", torch.tensor([[True], [False], [False]]))).zero_()
+    assert observed["base_position"].any()
+    for key, value in observed.items():
+        assert torch.equal(state["base_env"]["observed"][key], value), key
+
+
 def test_the_base_env_is_copied_with_what_differs_by_world():
     env = HumanoidEnv(num_envs=2, control_dt=0.04)
     env.simulation.model.opt.gravity[2] = -5.0
@@ -196,6 +209,16 @@ def test_what_a_transform_makes_not_finite_ends_its_world():
     assert after["done"].flatten().tolist() == [False, False, True]
     assert after["observation"].isfinite().all()
     assert after["observation"][2, 5] == 0
+
+
+def test_one_number_of_a_world_that_is_not_finite_ends_it_too():
+    env = build_task("push_recovery", num_envs=3)
+    bad = torch.tensor([0.0, torch.nan, 0.0])
+    good = torch.zeros(3)
+    env.append_transform(lambda td: td.set("height", bad if "reward" in td.keys() else good))
+    after = env.step(env.reset().set("action", torch.zeros(3, 20)))["next"]
+    assert after["done"].flatten().tolist() == [False, True, False]
+    assert after["height"].tolist() == [0.0, 0.0, 0.0]
 
 
 def test_a_reset_that_is_not_finite_is_refused_by_its_key():

@@ -16,7 +16,7 @@ from zfall.envs.ball_state import BallState
 from zfall.envs.base_state import check_made_for, made_for
 from zfall.envs.control import Repeats, read_control
 from zfall.envs.forces import StepForces
-from zfall.envs.observer import Observed, Observer, with_flags
+from zfall.envs.observer import Observed, Observer, copies, with_flags
 from zfall.envs.placing import Placing, start_of
 from zfall.envs.rendering import Camera
 from zfall.robots import ZEROTH01, Ball, PushPoint, Robot
@@ -266,7 +266,7 @@ class HumanoidEnv(EnvBase):
             "simulation": self.simulation.state_dict(),
             "rng": self.rng.get_state(),
             "parameters": self.parameters.state_dict(),
-            "observed": None if self._observed is None else dict(self._observed),
+            "observed": copies(self._observed),
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> None:
@@ -279,8 +279,7 @@ class HumanoidEnv(EnvBase):
         self.set_physics_params(TensorDict(state_dict["parameters"]))
         self.simulation.load_state_dict(state_dict["simulation"])
         self.rng.set_state(state_dict["rng"])
-        observed = state_dict.get("observed")
-        self._observed = None if observed is None else dict(observed)
+        self._observed = copies(state_dict.get("observed"))
         self._repeats.forget()
 
     def check_state(self, state: Mapping[str, Any]) -> None:

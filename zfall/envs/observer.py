@@ -63,6 +63,11 @@ class Observer:
         return out | new
 
 
+def copies(observed: Observed | None) -> Observed | None:
+    """Of what was observed: the TensorDicts of users hold the tensors themselves."""
+    return None if observed is None else {key: value.clone() for key, value in observed.items()}
+
+
 def with_flags(observed: Mapping[NestedKey, Tensor], diverged: Tensor) -> TensorDictBase:
     """What was observed, and the flags: of the base env only failed physics ends an episode.
 
