@@ -26,10 +26,13 @@ class Overload:
 class Servo:
     """A position servo with a DC motor, gears and firmware, at its output shaft.
 
-    ``None`` says that no number is published: what needs it refuses. With the duty
-    ``d = clip(kp duty_per_radian error, +-1)`` and the voltage V, the joint feels::
+    ``None`` says that no number is published: what needs it refuses. At the voltage V the joint
+    feels::
 
-        torque = d motor_torque(V) - damping speed - friction sign(speed)
+        torque = clip(stiffness(V) error, +-motor_torque(V)) - damping speed - friction sign(speed)
+
+    The clip is reached a little beyond an error of ``1 / (kp duty_per_radian)``, at which the
+    firmware's duty is full: ``stiffness`` goes by the torque of the sheet, without the friction.
 
     A sheet's figures are measured at the shaft, friction included: at its voltage and full duty
     this is its line, ``stall_torque`` at rest and nothing at ``no_load_speed``.
