@@ -1,5 +1,6 @@
 """Going on with a run: the same as one not stopped, and nothing lost when it is refused."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -85,6 +86,21 @@ def test_values_given_anew_are_read_as_hydra_reads_them(trained):
     cfg = resumed_config(state["config"], given, overrides, trained)
     assert cfg.showcase == given.showcase
     assert cfg.num_envs == OmegaConf.create(state["config"]).num_envs
+
+
+def test_keys_that_a_run_was_written_without_have_their_defaults(trained, tmp_path):
+    """As those of a run from before they were there."""
+    shutil.copytree(trained, tmp_path / "old")
+    last = tmp_path / "old" / "checkpoints" / "last.pt"
+    content = checkpoint.load(last)
+    config = OmegaConf.create(content["config"])
+    for key in ("alike", "averaging", "augmentation", "auxiliary_share", "logger", "warm_start"):
+        del config[key]
+    checkpoint.save(last, content | {"config": OmegaConf.to_yaml(config)})
+    done = run("train", f"resume={tmp_path}/old", "total_frames=96")
+    assert done.returncode == 0, done.stderr
+    resumed = OmegaConf.create(checkpoint.load(last)["config"])
+    assert (resumed.alike, resumed.auxiliary_share, resumed.augmentation) == (1, 0.125, None)
 
 
 def test_a_run_that_came_to_its_end_was_not_stopped(compose_config, tmp_path, monkeypatch):

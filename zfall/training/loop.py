@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from torchrl.envs import TransformedEnv
 
 from zfall import checkpoint
+from zfall.configs import compose_config
 from zfall.errors import at, in_one_line
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
@@ -72,9 +73,9 @@ def resumed_config(
                 f"only {', '.join(free)} may change."
             )
     cfg = DictConfig(OmegaConf.create(stored))
-    for key in ("logger", "name"):  # a run from before they were there has their defaults
+    for key, default in compose_config().items():  # for a run from before
         if key not in cfg:
-            cfg[key] = given[key]
+            cfg[key] = default
     for key in (override.partition("=")[0] for override in overrides):
         if key not in _OF_THE_CALL:
             OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
