@@ -15,6 +15,7 @@ from zfall.static_checks import check_nodes
 from zfall.training.collection import group_sizes
 from zfall.training.keys import TrainKeys
 from zfall.training.losses import check_loss, target_of
+from zfall.training.optimizers import without_fused
 
 _WRITTEN_BY = {  # what learning reads of every task
     "action": "zfall.envs.transforms.actions.JointPositionTarget",
@@ -103,7 +104,8 @@ def check_ranges(cfg: DictConfig) -> None:
     plain = plain_containers(cfg)
     check_table(plain, TrainKeys)
     check_loss(cfg.loss)
-    check_nodes({key: value for key, value in plain.items() if key != "loss"})
+    nodes = plain | {"optimizer": without_fused(plain["optimizer"])}
+    check_nodes({key: value for key, value in nodes.items() if key != "loss"})
     for size in group_sizes(cfg.num_envs, cfg.groups):
         if size % cfg.alike:
             raise ValueError(

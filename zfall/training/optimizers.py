@@ -1,13 +1,16 @@
 """The optimizer of a training and its learning rate."""
 
 import inspect
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from torch import Tensor
+
+from zfall.errors import object_at
+from zfall.static_checks import parameters_of
 
 FOLLOWED = ("kl", "metrics")  # what a scheduler's step may take, see follow
 
@@ -26,11 +29,7 @@ def build_optimizer(
     Raises:
         ValueError: on a scheduler that cannot be saved, or whose ``step`` takes what nobody knows.
     """
-    kind, values = instantiate(cfg.optimizer, _partial_=True).func, dict(cfg.optimizer)
-    known = inspect.signature(kind).parameters.values()
-    if not any(value.name == "fused" or value.kind is value.VAR_KEYWORD for value in known):
-        values.pop("fused", None)  # Adam's, from train.yaml: another has taken its place
-    optimizer = instantiate(values, parameters)
+    optimizer = instantiate(without_fused(cfg.optimizer), parameters)
     if not cfg.scheduler:
         return optimizer, None
     scheduler = instantiate(cfg.scheduler, optimizer)
@@ -50,6 +49,21 @@ def build_optimizer(
                 f"{cfg.scheduler._target_} takes {value.name}."
             )
     return optimizer, scheduler
+
+
+def without_fused(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of an optimizer; ``fused`` is Adam's, from ``train.yaml``, and not all take it.
+
+    Raises:
+        ValueError: on a ``_target_`` that is not there.
+    """
+    values = dict(table)
+    target = values.get("_target_")
+    if "fused" in values and isinstance(target, str) and target.strip():
+        known = parameters_of(object_at(target, "optimizer._target_"))
+        if not {"fused", "**"} & known.keys():
+            del values["fused"]
+    return values
 
 
 def follow(scheduler: Any, reward: float, divergence: float | None) -> None:
