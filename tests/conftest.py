@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: everything seeded, on the CPU, in seconds."""
 
 import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,8 @@ worker = os.environ.get("PYTEST_XDIST_WORKER")  # one of several processes: a co
 if worker is not None:
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a script
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 torch.set_num_threads(1)  # tensors are small here; threads that wait for each other cost more
 
 RECIPES = Path(__file__).parents[1] / "recipes"
@@ -31,6 +34,7 @@ absl.logging.get_absl_handler().python_handler.stream = sys.__stderr__
 @pytest.fixture(autouse=True)
 def _seeded() -> None:
     torch.manual_seed(0)
+    torch.set_num_threads(1)  # a checkpoint that a test before loaded may have set another number
 
 
 @pytest.fixture(scope="session")

@@ -168,7 +168,9 @@ def object_at(path: str, key: str) -> Any:
     except (ImportError, ValueError, AttributeError) as error:
         flat = _flat(str(error))
         absent = _NOT_LOADED.fullmatch(flat)
-        raise ValueError(f"{key} {not_found(*absent.groups()) if absent else flat}") from error
+        raise ValueError(
+            f"{key} {not_found(*absent.groups() if absent else (path, flat))}"
+        ) from error
 
 
 def _flat(text: str) -> str:

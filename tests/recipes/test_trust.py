@@ -225,4 +225,4 @@ def test_ones_own_module_is_built_once_it_is_trusted(tmp_path, monkeypatch):
     assert zfall.load_policy("mine", trust=["my_counting"]).env(2).rollout(2).shape == (2, 2)
     with pytest.raises(ValueError, match="trust must be a list"):
         zfall.load_policy("mine", trust="my_counting")
-    assert "trust must be a list of modules, [os]" in run("play", *args, "trust=os").stderr
+    assert "trust must be a list, [os]" in run("play", *args, "trust=os").stderr
