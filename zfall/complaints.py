@@ -6,7 +6,16 @@ hydra builds something later, and messages name rule, value and repair.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, MutableMapping, Sequence, Set
+from collections.abc import (
+    Callable,
+    Collection,
+    Hashable,
+    Iterable,
+    Mapping,
+    MutableMapping,
+    Sequence,
+    Set,
+)
 from dataclasses import dataclass
 from difflib import get_close_matches
 from numbers import Integral, Real
@@ -150,7 +159,7 @@ def _of_kind(value: Any, kind: Any, place: str, depth: int, infinite: bool) -> _
         return _of_mapping(value, kind, place, depth)
     if origin in _LISTS:
         return _of_list(value, kind, origin, place, depth)
-    return _of_class(value, kind, place, depth)
+    return _of_class(value, origin, place, depth)
 
 
 def _of_number(value: Any, place: str, depth: int, infinite: bool) -> _Complaint | None:
@@ -166,8 +175,10 @@ def _of_number(value: Any, place: str, depth: int, infinite: bool) -> _Complaint
 
 
 def _of_class(value: Any, kind: type, place: str, depth: int) -> _Complaint | None:
-    """An object from elsewhere: a table gives it, or a text that it is made of, a path perhaps."""
-    if not _plain(value) or (isinstance(value, str) and issubclass(kind, PathLike)):
+    """An object: a table gives one of ours; what stands for one of others, we cannot tell."""
+    if issubclass(kind, PathLike):
+        return None if isinstance(value, str) else _must(place, "be a path", value, depth)
+    if not _plain(value) or not is_ours(kind):
         return None
     return _must(place, f"be {described(kind)}", value, depth)
 
@@ -187,8 +198,8 @@ def _of_mapping(value: Any, kind: Any, place: str, depth: int) -> _Complaint | N
 def _of_list(value: Any, kind: Any, origin: type, place: str, depth: int) -> _Complaint | None:
     if not isinstance(value, list | tuple):
         return _must(place, _be(kind, value), value, depth)
-    inside = get_args(kind) or (Any,)
-    if issubclass(origin, tuple) and not (len(inside) == 2 and inside[1] is Ellipsis):
+    inside = get_args(kind) or (Any, Ellipsis)
+    if issubclass(origin, tuple) and inside[1:] != (Ellipsis,):
         if len(value) != len(inside):
             return _must(place, f"be a list of {len(inside)}", value, depth + 1)
         kinds = list(inside)
@@ -240,7 +251,7 @@ def described(kind: Any) -> str:
         return " or ".join(shown(choice) for choice in args)
     names = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
     names |= {NoneType: "null", None: "null", Any: "anything"}
-    if origin in names:
+    if isinstance(origin, Hashable) and origin in names:
         return names[origin]
     if _is_callable(kind):
         return "a table with a _target_ and _partial_: true"
@@ -256,6 +267,11 @@ def is_live(kind: Any) -> bool:
     if get_origin(kind) in (Union, UnionType):
         return all(map(is_live, get_args(kind)))
     return described(kind).startswith("a table with a _target_ that makes")
+
+
+def is_ours(made: Any) -> bool:
+    """Whether a class or function is of this package, so that we know who builds or calls it."""
+    return (getattr(made, "__module__", None) or "").partition(".")[0] == "zfall"
 
 
 def _plain(value: Any) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Unpack, get_args, get_origin, get_type_hints
 
-from zfall.complaints import complaint, described, is_live, joined, unknown_key
+from zfall.complaints import complaint, described, is_live, is_ours, joined, unknown_key
 from zfall.configs import nodes_of
 from zfall.errors import object_at
 from zfall.values import Name, shown
@@ -92,11 +92,11 @@ def check_node(node: Mapping[str, Any], place: str) -> None:
 def parameters_of(called: Any) -> dict[str, tuple[Any, bool]]:
     """Kind of each parameter that a config may give, by name, and whether it may be left out.
 
-    What only a live object can be comes from whoever builds it: positional it is none of the
-    config's, by keyword it may be left out. ``**`` among the names says that any other is taken,
-    too. A class that passes ``**values`` on takes the parameters of the class that it is made
-    from; with ``for_task``, those of both. ``**values: Unpack[Table]`` has the keys of that
-    ``TypedDict``.
+    What only a live object can be comes from whoever builds it: by keyword it may be left out, and
+    positional it is none of the config's where the function is ours. ``**`` among the names says
+    that any other is taken, too. A class that passes ``**values`` on takes the parameters of the
+    class that it is made from; with ``for_task``, those of both. ``**values: Unpack[Table]`` has
+    the keys of that ``TypedDict``.
     """
     found: dict[str, tuple[Any, bool]] = {}
     for function in _called(called):
@@ -111,7 +111,7 @@ def parameters_of(called: Any) -> dict[str, tuple[Any, bool]]:
                         found.setdefault(name, (entry, name not in table.__required_keys__))
                 else:
                     open_ended = True
-            elif parameter.kind in _NAMED and not _is_passed(parameter, kind):
+            elif parameter.kind in _NAMED and not _is_passed(function, parameter, kind):
                 optional = (
                     parameter.default is not parameter.empty
                     or parameter.kind is parameter.POSITIONAL_OR_KEYWORD
@@ -152,10 +152,11 @@ def _hints(function: Any) -> dict[str, Any]:
         return {}
 
 
-def _is_passed(parameter: inspect.Parameter, kind: Any) -> bool:
-    """Whether it is an env, a network, a spec that whoever builds the rest passes."""
+def _is_passed(function: Any, parameter: inspect.Parameter, kind: Any) -> bool:
+    """Whether it is an env, a network, a spec that we pass to a function of ours."""
     positional = parameter.kind is parameter.POSITIONAL_OR_KEYWORD
-    return positional and parameter.default is parameter.empty and is_live(kind)
+    required = positional and parameter.default is parameter.empty
+    return required and is_ours(function) and is_live(kind)
 
 
 def _values_of(config: Any, place: str) -> Iterator[tuple[str, Any]]:
