@@ -188,8 +188,8 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, AttributeError, IndexError, RuntimeError) as error:
-        kind = "lacks " if isinstance(error, KeyError) else ""
-        raise ValueError(f"{path} must fit what reads it: {kind}{in_one_line(error)}") from error
+        why = f"lacks {error}" if isinstance(error, KeyError) else in_one_line(error)
+        raise ValueError(f"{path} must fit what reads it: {why}") from error
 
 
 def check_fits(content: dict[str, Any], robot: str, actor: torch.nn.Module, path: Path) -> None:
