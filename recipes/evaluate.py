@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 from zfall.commands import remove_if_empty, shell_line
 from zfall.trust import trusting
-from zfall.values import Count, Name, Node, Positive, Rule, Seed, Whole
+from zfall.values import Count, Name, Positive, Rule, Seed, Whole
 
 from .shell import (
     Changes,
@@ -34,7 +34,7 @@ class Keys(TypedDict):
     checkpoint: Checkpoint
     num_envs: Count
     seed: Seed
-    env: NotRequired[Node | None]
+    env: NotRequired[Mapping[str, Any] | None]  # servo=NAME alone gives a part of one
     keep: Changes
     trial: Whole | None
     video: bool

@@ -1,6 +1,7 @@
 """Lets a policy act in its task, pushes on request, and films it: ``recipes.play run=DIR``."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -10,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import remove_if_empty, shown_path
 from zfall.trust import trusting
-from zfall.values import Count, Node, Positive, Seed
+from zfall.values import Count, Positive, Seed
 
 from .shell import (
     Changes,
@@ -29,7 +30,7 @@ class Keys(TypedDict):
 
     run: Run | None
     checkpoint: Checkpoint
-    env: NotRequired[Node | None]
+    env: NotRequired[Mapping[str, Any] | None]  # servo=NAME alone gives a part of one
     num_envs: Count
     seconds: Positive
     seed: Seed
