@@ -34,7 +34,7 @@ from zfall.studies.plan import battery_of, in_test
         ({"rows": {"a": ["augmentation=3"]}}, "study.rows.a: augmentation", "3"),
         ({"rows": {"a": ["+loss._target_=no.X"]}}, "study.rows.a: loss._target_", "no.X"),
         ({"rows": {"a": ["scheduler.min_lr=x"]}}, "study.rows.a: scheduler.min_lr", "x"),
-        ({"rows": {"a": ["env.base_env=3"]}}, "study.rows.a", "another kind"),
+        ({"rows": {"a": ["env.base_env=3"]}}, "study.rows.a: env.base_env", "3"),
         ({"tests": {"n": ["+minibatch=7"]}}, "study.tests.n: minibatch", "minibatches"),
         ({"tests": {"n": ["env.transforms.nois=null"]}}, "study.tests.n", "nois"),
         (

@@ -4,14 +4,16 @@ import json
 import shutil
 from importlib.metadata import version
 from pathlib import Path
+from typing import NotRequired
 
 import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
 from tests.shell import run
-from zfall import migrations
+from zfall import migrations, static_checks
 from zfall.configs import config_folder
+from zfall.envs.transforms import windows
 from zfall.moved import MOVED
 from zfall.studies import Study
 from zfall.studies.store import Store
@@ -72,8 +74,12 @@ def without_table(results: Path, study: Study, tmp_path: Path) -> list[str]:
 def test_a_new_key_of_every_training_orphans_nothing(results, tmp_path, monkeypatch):
     """With one line in the table. Without it no result is found, and the key is named."""
     from zfall.training import checks
+    from zfall.training.keys import TrainKeys
 
-    monkeypatch.setattr(checks, "KEYS", checks.KEYS | {"horizon"})
+    class Later(TrainKeys):
+        horizon: NotRequired[int]
+
+    monkeypatch.setattr(checks, "TrainKeys", Later)
     study = study_of("symmetry", base=["experiment=quickstart_studied", "+horizon=3"])
     assert len(without_table(results, study, tmp_path)) == len(study.plan)
     nearest = Store(results, tmp_path / "runs").nearest(study.plan[0].tests[0])
@@ -95,6 +101,13 @@ def test_a_renamed_key_orphans_nothing(results, tmp_path, monkeypatch):
         "experiment=quickstart_studied", "~optimizer.lr", "+optimizer.rate=5e-4",
         "~env.transforms.push.size", "+env.transforms.push.strength=[0.1,0.7]",
     ]  # fmt: skip
+    names = {"lr": "rate", "size": "strength"}  # of the arguments of both classes
+    of = static_checks.parameters_of
+    monkeypatch.setattr(
+        static_checks,
+        "parameters_of",
+        lambda called: {names.get(name, name): kind for name, kind in of(called).items()},
+    )
     study = study_of("symmetry", base=renamed)
     assert len(without_table(results, study, tmp_path)) == len(study.plan)
     monkeypatch.setitem(migrations.RENAMED, "optimizer.lr", "rate")
@@ -106,6 +119,7 @@ def test_a_renamed_key_orphans_nothing(results, tmp_path, monkeypatch):
 def test_a_moved_class_orphans_nothing(results, tmp_path, monkeypatch):
     name = "+env.transforms.last_action._target_=zfall.envs.transforms.windows.Latest"
     base = ["experiment=quickstart_studied", f"+{name}"]
+    monkeypatch.setattr(windows, "Latest", windows.LastAction, raising=False)
     assert without_table(results, study_of("symmetry", base=base), tmp_path)
     old, new = "zfall.envs.transforms.windows.LastAction", name.partition("=")[2]
     monkeypatch.setitem(MOVED, old, new)
