@@ -93,10 +93,10 @@ def _must(place: str, rule: str, value: Any, depth: int = 0) -> _Complaint:
 
 
 def _complain(value: Any, kind: Any, place: str, depth: int = 0) -> _Complaint | None:
-    origin, extras = get_origin(kind), ()
-    if origin is Annotated:
-        kind, *rest = get_args(kind)
-        extras, origin = tuple(rest), get_origin(kind)
+    extras: list[Any] = []
+    if get_origin(kind) is Annotated:
+        kind, *extras = get_args(kind)
+    origin = get_origin(kind)
     if isinstance(value, str) and value == _MISSING:
         return _Complaint(f"{place} must be given, it has no default; got ???.", depth)
     if _is_open(kind):
@@ -249,7 +249,12 @@ def described(kind: Any) -> str:
         return " or ".join(map(described, args))
     if origin is Literal:
         return " or ".join(shown(choice) for choice in args)
-    names = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+    names: dict[Any, str] = {
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        str: "text",
+    }
     names |= {NoneType: "null", None: "null", Any: "anything"}
     if isinstance(origin, Hashable) and origin in names:
         return names[origin]

@@ -73,8 +73,8 @@ def check_node(node: Mapping[str, Any], place: str) -> None:
             text = unknown_key(place, key, known, target.rpartition(".")[2])
             raise ValueError(f"{text} '~{joined(place, key)}' takes it out.")
         kind = HYDRA_KEYS[key] if key in HYDRA_KEYS else parameters.get(key, (Any, True))[0]
-        if text := complaint(value, kind, joined(place, key)):
-            raise ValueError(text)
+        if wrong := complaint(value, kind, joined(place, key)):
+            raise ValueError(wrong)
     if (conversion := node.get("_convert_", "none")) not in _CONVERSIONS:
         raise ValueError(
             f"{joined(place, '_convert_')} must be one of {', '.join(_CONVERSIONS)}, "
@@ -132,7 +132,7 @@ def _called(called: Any) -> Iterator[Any]:
         yield called.for_task
     for base in called.__mro__:
         if "__init__" in vars(base) and base is not object:
-            yield base.__init__
+            yield vars(base)["__init__"]
 
 
 def _parameters(function: Any) -> list[inspect.Parameter]:
