@@ -83,3 +83,11 @@ def test_a_film_goes_to_tensorboard_and_a_logger_that_cannot_says_why(tmp_path):
     (image,) = board.Images("film")
     assert (image.height, image.width) == (16, 24)
     assert image.encoded_image_string.startswith(b"GIF8")
+
+
+@pytest.mark.parametrize(
+    "target", ["torchrl.record.CSVLogger", "builtins.print", "builtins.nothing", "zfall.nothing"]
+)
+def test_what_gives_no_logger_is_refused_with_its_key(target, tmp_path):
+    with pytest.raises(ValueError, match=r"logger\.0"):
+        Loggers([OmegaConf.create({"_target_": target})], tmp_path)

@@ -4,11 +4,14 @@ import math
 
 import pytest
 import torch
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from torch.optim import lr_scheduler
 
 from zfall import checkpoint
+from zfall.errors import in_one_line
 from zfall.training.learner import Learner
-from zfall.training.optimizers import MuonAndAdam, learning_rates
+from zfall.training.optimizers import MuonAndAdam, build_optimizer, learning_rates
 from zfall.trust import trusting
 
 SMALL = ("num_envs=4", "rollout_steps=4", "epochs=2")
@@ -153,3 +156,21 @@ def test_another_optimizer_than_adam(compose_config):
         learner.learn(learner.collect())
         assert f"torch.optim.{type(learner.optimizer).__name__}" == name
         assert learner.optimizer.defaults.get("fused") is fused
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"optimizer": "{_target_: torch.optim.Adam, lr: 1.0e-3, weight_decay: -1}"},
+        {"optimizer": "{_target_: torch.optim.Adam, lr: 1.0e-3, betas: [2, 2]}"},
+        {"optimizer": "{_target_: torch.optim.SGD, lr: 1.0e-3, nesterov: true}"},
+        {"optimizer": "{_target_: builtins.list}"},
+        {"scheduler": "{_target_: torch.optim.lr_scheduler.OneCycleLR, max_lr: 1.0}"},
+    ],
+)
+def test_what_no_optimizer_or_scheduler_can_be_made_of_is_refused_with_its_key(values):
+    given = {"optimizer": "{_target_: torch.optim.Adam, lr: 1.0e-3}", "scheduler": "null"} | values
+    cfg = OmegaConf.create("\n".join(f"{key}: {value}" for key, value in given.items()))
+    with pytest.raises((ValueError, HydraException)) as caught:
+        build_optimizer(cfg, [torch.nn.Parameter(torch.zeros(2, 2))])
+    assert in_one_line(caught.value).startswith(next(iter(values)))

@@ -13,6 +13,8 @@ from omegaconf import DictConfig, OmegaConf
 from tensorboard.compat.proto.summary_pb2 import Summary
 from torchrl.record import TensorboardLogger
 
+from zfall.errors import named
+
 
 class Loggers:
     """Hands every figure of a training to all loggers of its config.
@@ -26,7 +28,7 @@ class Loggers:
         name: of the run; the folder's if ``None``.
 
     Raises:
-        ValueError: on a text with another word in braces.
+        ValueError: on a text with another word in braces, or what gives no logger.
     """
 
     def __init__(self, configs: Sequence[DictConfig], folder: Path, name: str | None = None):
@@ -34,8 +36,9 @@ class Loggers:
         self.loggers: list[Any] = []
         with _own_random_numbers():
             for number, config in enumerate(configs):
+                place = f"logger.{number}"
                 plain = OmegaConf.to_container(config, resolve=True)
-                self.loggers.append(instantiate(_filled(plain, words, f"logger.{number}")))
+                self.loggers.append(_built(_filled(plain, words, place), place))
 
     def __bool__(self) -> bool:
         """Whether there are any."""
@@ -59,6 +62,18 @@ class Loggers:
                     reason = (str(error).splitlines() or [type(error).__name__])[0]
                     refused.append(f"{type(logger).__name__} has no film: {reason}")
         return refused
+
+
+def _built(config: Mapping[str, Any], place: str) -> Any:
+    """A logger, which has at least the method that takes figures."""
+    with named(place):
+        logger = instantiate(config)
+    if not callable(getattr(logger, "log_scalar", None)):
+        raise ValueError(
+            f"{place}._target_ must make something with a method log_scalar(name, value, step), "
+            f"{config['_target_']} makes a {type(logger).__name__}."
+        )
+    return logger
 
 
 def _log_film(logger: Any, film: Any, frames: int) -> None:

@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from torch import Tensor
 
-from zfall.errors import object_at
+from zfall.errors import named, object_at
 from zfall.static_checks import parameters_of
 
 FOLLOWED = ("kl", "metrics")  # what a scheduler's step may take, see follow
@@ -27,12 +27,20 @@ def build_optimizer(
         parameters: the actor's, then the critic's.
 
     Raises:
-        ValueError: on a scheduler that cannot be saved, or whose ``step`` takes what nobody knows.
+        ValueError: on a value that one of them refuses, another thing than an optimizer, or a
+            scheduler that cannot be saved or whose ``step`` takes what nobody knows.
     """
-    optimizer = instantiate(without_fused(cfg.optimizer), parameters)
+    with named("optimizer"):
+        optimizer = instantiate(without_fused(cfg.optimizer), parameters)
+    if not isinstance(optimizer, torch.optim.Optimizer):
+        raise ValueError(
+            "optimizer._target_ must make a torch.optim.Optimizer of the parameters, "
+            f"{cfg.optimizer._target_} makes a {type(optimizer).__name__}."
+        )
     if not cfg.scheduler:
         return optimizer, None
-    scheduler = instantiate(cfg.scheduler, optimizer)
+    with named("scheduler"):
+        scheduler = instantiate(cfg.scheduler, optimizer)
     if missing := [
         n for n in ("step", "load_state_dict", "state_dict") if not hasattr(scheduler, n)
     ]:
