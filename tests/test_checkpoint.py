@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from hydra.errors import InstantiationException
 
 from zfall import checkpoint
 from zfall.policies.load import POLICIES
@@ -207,3 +208,26 @@ def test_checkpoint_of_another_robot_or_actor_is_refused(tmp_path):
         checkpoint.check_fits(content, "icub", actor, tmp_path)
     with pytest.raises(ValueError, match=r"weight has shape \(3, 2\) there and \(3, 4\) here"):
         checkpoint.check_fits(content, "zeroth01", torch.nn.Linear(4, 3), tmp_path)
+
+
+def _nested(levels: int) -> list[object]:
+    nested: list[object] = [1]
+    for _ in range(levels):
+        nested = [nested, nested]
+    return nested
+
+
+@pytest.mark.parametrize(
+    "bomb", [torch.zeros(1).expand(10**12), _nested(40)], ids=["a terabyte", "2^40 entries"]
+)
+def test_a_small_file_that_stands_for_much_is_refused_at_once(tmp_path, bomb):
+    path = tmp_path / "a.pt"
+    torch.save({"format": checkpoint.FORMAT, **CONTENT, "more": bomb}, path)
+    assert "damaged or of another kind" in refusal(path)
+
+
+def test_what_hydra_says_of_a_config_that_does_not_fit_is_one_line_with_the_file():
+    with pytest.raises(ValueError, match=r"^a\.pt: actor: it is too small") as caught:  # noqa: SIM117
+        with checkpoint.reading(Path("a.pt")):
+            raise InstantiationException("it is too small\nfull_key: actor")
+    assert "\n" not in str(caught.value)

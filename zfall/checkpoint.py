@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
 
 from zfall.errors import in_one_line
@@ -120,6 +122,7 @@ def _read(path: Path) -> dict[str, Any]:
     _check_file(path)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
+        _check_size(content, path.stat().st_size)
         counted = content_digest({k: v for k, v in content.items() if k not in _ABOUT})
     except Exception as error:  # torch's own message may advise to load it without care
         raise ValueError(f"{path} must be a checkpoint, {_NOT_READ}") from error
@@ -135,6 +138,7 @@ def _read(path: Path) -> dict[str, Any]:
     return dict(content)
 
 
+_TIMES = 8  # so much larger than the file its tensors may be; of ours they are smaller
 _ABOUT = ("format", "digest")  # not of the content
 _REPAIR = "take another copy, or train it again."
 _NOT_READ = f"it is damaged or of another kind: {_REPAIR}"
@@ -150,6 +154,22 @@ def _check_file(path: Path) -> None:
         raise ValueError(f"{path} must be a checkpoint, {_NOT_READ}") from error
     if not sound:
         raise ValueError(f"{path} must be a checkpoint, {_NOT_READ}")
+
+
+def _check_size(content: Any, size: int) -> None:
+    """Refuses a small file whose content is large: tensors and lists that repeat themselves."""
+    parts, in_tensors, stack = 0, 0, [content]
+    while stack:
+        value = stack.pop()
+        parts += 1
+        if isinstance(value, Tensor):
+            in_tensors += value.numel() * value.element_size()
+        elif isinstance(value, Mapping):
+            stack += [*value.keys(), *value.values()]
+        elif isinstance(value, (list, tuple)):
+            stack += value
+        if parts > size or in_tensors > _TIMES * size:  # each part takes a byte or more
+            raise ValueError("it stands for more than it holds")
 
 
 def content_digest(content: Any) -> str:
@@ -187,6 +207,8 @@ def reading(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    except (HydraException, OmegaConfBaseException) as error:  # which name the key
+        raise ValueError(f"{path}: {in_one_line(error)}") from error
     except (KeyError, TypeError, AttributeError, IndexError, RuntimeError) as error:
         why = f"lacks {error}" if isinstance(error, KeyError) else in_one_line(error)
         raise ValueError(f"{path} must fit what reads it: {why}") from error
