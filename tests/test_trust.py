@@ -156,6 +156,13 @@ def test_a_logger_of_a_file_writes_into_its_run_folder_alone(name, log_dir):
     assert "logger.0." in refusal(f"logger: [{LOGGER.format(name, log_dir)}]")
 
 
+def test_a_logger_that_is_trusted_writes_where_it_says():
+    text = f"logger: [{LOGGER.format('csv', 'elsewhere')}]"
+    assert "trust=[torchrl.record.CSVLogger]" in refusal(text)
+    with trusting(["torchrl.record.CSVLogger"]):
+        config_of_file(text, FILE)
+
+
 def test_a_logger_stands_among_the_loggers_alone():
     logger = LOGGER.format("csv", "'{folder}'")
     config_of_file(f"logger: [{logger}]", FILE)

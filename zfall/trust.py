@@ -192,7 +192,8 @@ def _check_target(node: Mapping[str, Any], place: str, path: Path) -> None:
     rule = f"{path}: {place}._target_ must name"
     if not (isinstance(target, str) and _PATH.fullmatch(target)):
         raise ValueError(f"{rule} a class or function, got {_shown(target)}.")
-    if target in LOGGERS and re.fullmatch(r"logger\.\d+", place):
+    own_logger = target in LOGGERS and target not in _trusted.get()
+    if own_logger and re.fullmatch(r"logger\.\d+", place):
         _check_logger(node, place, path)
         return
     for entry in (*ALLOWED, *_trusted.get()):
@@ -224,7 +225,10 @@ def _check_logger(node: Mapping[str, Any], place: str, path: Path) -> None:
         at = f"{path}: {place}.{key} must"
         if key == "log_dir":
             if not (isinstance(value, str) and _IN_RUN_FOLDER.fullmatch(value)):
-                raise ValueError(f"{at} lie in the run folder, {{folder}}, got {_shown(value)}.")
+                hint = f"trust=[{node['_target_']}] lets it write there"
+                raise ValueError(
+                    f"{at} lie in the run folder, {{folder}}, got {_shown(value)}; {hint}."
+                )
         elif key != "_target_" and not _is_name(value, _FILLED_NAME):
             raise ValueError(f"{at} be a plain name or number, got {_shown(value)}.")
     if "log_dir" not in node:

@@ -221,3 +221,21 @@ def test_the_garbage_collector_spares_what_was_there_and_takes_it_back():
         fail_amid_it()
     assert spared[0] > 10_000  # all of torch, for one
     assert gc.get_freeze_count() == 0
+
+
+def test_what_could_not_be_read_again_is_not_trained(tmp_path):
+    done = run("train", *TINY, "name=../elsewhere", f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 1
+    assert "name must be a plain name, got ../elsewhere." in done.stderr
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_run_whose_logger_writes_elsewhere_goes_on_once_that_is_trusted(tmp_path):
+    logger = f"{{_target_: torchrl.record.CSVLogger, exp_name: a, log_dir: {tmp_path}}}"
+    done = run("train", *TINY, f"logger=[{logger}]", f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+    more = [f"resume={tmp_path}/run", "total_frames=96"]
+    done = run("train", *more)
+    assert "trust=[torchrl.record.CSVLogger]" in done.stderr
+    done = run("train", *more, "trust=[torchrl.record.CSVLogger]")
+    assert done.returncode == 0, done.stderr

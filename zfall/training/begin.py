@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from torch import Tensor
 
@@ -14,6 +14,7 @@ from zfall.training.learner import Learner
 from zfall.training.loop import number_of_updates, resumed_config, try_one_step
 from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
 from zfall.training.warm_start import warm_start
+from zfall.trust import config_of_file, targets_of, trusting
 
 
 def begin(
@@ -42,6 +43,8 @@ def begin(
             f"hydra.run.dir must be a folder without a run, {folder} holds one"
             f"{'' if resumable else ' without a checkpoint'}; {repair}."
         )
+    with trusting(targets_of(cfg)):  # what is trained must be readable, too
+        config_of_file(OmegaConf.to_yaml(cfg, resolve=True), folder)
     try_one_step(cfg.env)
     learner = Learner(cfg)
     if cfg.warm_start is not None:
