@@ -3,6 +3,7 @@
 import pytest
 
 from tests.shell import run
+from zfall.errors import in_one_line
 
 BEST, POSE = "run=best", "run=pose_hold"
 
@@ -50,3 +51,15 @@ def test_other_kinds_of_values_are_refused_in_one_line(recipe, given, message, t
     assert f"error: {message}" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_what_a_file_says_cannot_move_the_cursor_of_the_terminal():
+    assert in_one_line(ValueError("it is \x1b[2Jof\r\x9bb")) == "it is [2Jof b"
+
+
+def test_an_override_that_hydra_cannot_read_is_refused_with_how_to_quote_it():
+    done = run("evaluate", BEST, "change=[transforms.push.size=3]")
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: change=[transforms.push.size=3] must be KEY=VALUE")
+    assert "quotes" in done.stderr
+    assert "http" not in done.stderr

@@ -6,7 +6,12 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-from hydra.errors import ConfigCompositionException, HydraException, InstantiationException
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    InstantiationException,
+    OverrideParseException,
+)
 from hydra.utils import get_object
 from omegaconf import DictConfig
 from omegaconf.errors import (
@@ -42,6 +47,12 @@ def in_one_line(error: BaseException) -> str:
     """What went wrong, without hydra's account of where."""
     if isinstance(error, InstantiationException):
         return _innermost(error)
+    if isinstance(error, OverrideParseException):
+        reason = str(error).partition("\n")[0]
+        rule = (
+            "must be KEY=VALUE as hydra reads it; quotes keep what has signs in it, KEY=['a.b=1']"
+        )
+        return _flat(f"{error.override} {rule}: {reason}.")
     if isinstance(error, ConfigCompositionException):
         if merged := _MERGING.fullmatch(str(error).strip()):
             return f"{merged[1]} must be of the kind that the yaml gives it, got {merged[2]}."
@@ -174,7 +185,7 @@ def object_at(path: str, key: str) -> Any:
 
 
 def _flat(text: str) -> str:
-    flat = " ".join(text.split())
+    flat = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     flat = flat.partition(" Config search path: ")[0]
     # Hydra's advice, which makes a new key of one that is misspelt.
     return flat.replace("To append to your config use +", "Unless it is misspelt, write +")
