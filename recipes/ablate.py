@@ -50,6 +50,8 @@ def main(cfg: DictConfig) -> None:
 
         results, runs = Path(cfg.results), Path(cfg.runs)
         if cfg.jobs is not None:  # in a launcher's process
+            if cfg.jobs >= len(plan):
+                raise ValueError(f"jobs must be below {len(plan)}, the runs, got {cfg.jobs}.")
             execute(study, plan[int(cfg.jobs)], Store(results, runs))
             return
         submit = None

@@ -21,6 +21,7 @@ import pytest
         ({"seeds": []}, "study.seeds", "[]"),
         ({"seeds": 3}, "study.seeds", "3"),
         ({"seeds": [True]}, "study.seeds", "[True]"),
+        ({"seeds": [0, 0]}, "study.seeds", "[0, 0]"),
         ({"row_seeds": {"none": ["x"]}}, "study.row_seeds.none", "['x']"),
         ({"row_seeds": {"nobody": [0]}}, "study.row_seeds", "nobody"),
         ({"tested_with": {"nobody": {"_target_": "a.B"}}}, "study.tested_with", "nobody"),

@@ -37,8 +37,9 @@ def check_values(study: Mapping[str, Any]) -> None:
         if not all(isinstance(override, str) for override in values):
             raise ValueError(f"{key} must be a list of overrides, KEY=VALUE, got {values}.")
     for key, values in (_lists_of(study, "seeds", "row_seeds")).items():
-        if not values or any(type(seed) is not int or seed < 0 for seed in values):
-            raise ValueError(f"{key} must be whole numbers from 0 on, got {values}.")
+        whole = all(type(seed) is int and seed >= 0 for seed in values)
+        if not values or not whole or len(set(values)) < len(values):
+            raise ValueError(f"{key} must be whole numbers from 0 on, each once, got {values}.")
     for row, table in study["tested_with"].items():
         if not isinstance(table, Mapping) or "_target_" not in table:
             raise ValueError(

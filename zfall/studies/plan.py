@@ -168,7 +168,10 @@ def training_size_of(study: "Study", battery: Battery) -> str:
     if not kind_of(battery).needs_training_size:
         return ""
     size = study.training_size
-    text = str(size) if size is None else f"{float(size):g}"
+    try:
+        text = str(size) if size is None else f"{float(size):g}"
+    except ValueError:
+        text = str(size)
     if text not in (sizes := [f"{impulse:g}" for impulse in battery.impulses]):
         raise ValueError(f"it must be one of {', '.join(sizes)}, got {text}.")
     return text
