@@ -298,3 +298,30 @@ def test_a_plain_env_of_torchrl_checks_actions_too(make_base):
         False,
         True,
     ]
+
+
+@pytest.mark.parametrize(
+    ("key", "shape", "said"),
+    [
+        ("wrench", (2, 1, 1, 6), r"push.wrench .* got \(2, 1"),
+        ("kick", (2, 1), r"push.kick .* got \(2"),
+    ],
+)
+def test_a_push_of_another_shape_is_refused(make_base, key, shape, said):
+    env = make_base(num_envs=2)
+    td = env.reset().set("target", env.stand_position.repeat(2, 1))
+    with pytest.raises(ValueError, match=said):
+        env.step(td.set(("push", key), torch.ones(shape)))
+
+
+@pytest.mark.parametrize("lost", ["parameters", "rng", "simulation.sensors"])
+def test_a_state_that_lacks_something_is_refused_before_anything_changes(make_base, lost):
+    env = make_base(num_envs=2)
+    state = env.state_dict()
+    *within, key = lost.split(".")
+    del (state[within[0]] if within else state)[key]
+    env.reset()
+    before = env.simulation.state_dict()
+    with pytest.raises(ValueError, match=r"an env's state must"):
+        env.load_state_dict(state)
+    assert torch.equal(env.simulation.state_dict()["state"], before["state"])

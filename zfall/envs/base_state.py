@@ -28,7 +28,7 @@ def check_made_for(state: Mapping[str, Any], here: Mapping[str, Any], sim: Simul
     Raises:
         ValueError: naming the first difference.
     """
-    if "simulation" not in state:
+    if not {"simulation", "parameters", "rng"} <= state.keys():
         raise ValueError(
             "an env's state must be what env.state_dict() gives, "
             f"got {', '.join(map(str, state)) or 'nothing'}."
@@ -40,7 +40,9 @@ def check_made_for(state: Mapping[str, Any], here: Mapping[str, Any], sim: Simul
                 f"an env's state must be of the same {key}, {value}, got {made_for[key]}."
             )
     for key, value in sim.state_dict().items():
-        given = state["simulation"][key]
+        given = state["simulation"].get(key)
+        if given is None:
+            raise ValueError(f"an env's state must have simulation.{key}, got none.")
         if given.shape != value.shape:
             raise ValueError(
                 "an env's state must be of as many worlds and of the same robot, ball and push "

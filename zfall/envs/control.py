@@ -29,9 +29,9 @@ def read_control(tensordict: TensorDictBase, shape: tuple[int, int, int]) -> tup
                 "the env must be given target or control, as JointPositionTarget makes one of "
                 f"them from an action; got {', '.join(map(str, tensordict.keys()))}."
             )
-        _check_shape("target", target, (worlds, joints))
+        check_shape("target", target, (worlds, joints))
         control = target[:, None].expand(-1, substeps, -1)
-    _check_shape("control", control, shape)
+    check_shape("control", control, shape)
     fault = tensordict.get("fault", None)
     failed = torch.zeros(worlds, dtype=torch.bool) if fault is None else fault.reshape(worlds)
     finite = control.isfinite()
@@ -41,7 +41,8 @@ def read_control(tensordict: TensorDictBase, shape: tuple[int, int, int]) -> tup
     return control, failed
 
 
-def _check_shape(key: str, value: Tensor, shape: tuple[int, ...]) -> None:
+def check_shape(key: str, value: Tensor, shape: tuple[int, ...]) -> None:
+    """Refuses a value that torch would spread over worlds, steps or axes without a word."""
     if value.shape != shape:
         raise ValueError(f"{key} must have the shape {shape}, got {tuple(value.shape)}.")
 

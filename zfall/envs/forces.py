@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from zfall.envs.control import check_shape
+
 
 class StepForces:
     """Fills the simulation's buffer of wrenches and remembers which rows may not be 0.
@@ -24,10 +26,14 @@ class StepForces:
         Args:
             wrench: the simulation's buffer ``(N, S, bodies, 6)`` [N, N m; world axes].
             value: what a TensorDict holds; if it is the buffer itself, all is there already.
+
+        Raises:
+            ValueError: if it has another shape.
         """
         if value is wrench:
             return
         if value is not None:
+            check_shape("push.wrench", value, tuple(wrench.shape))
             wrench.copy_(value)
             self._written = [(self._worlds, slice(None))]
             return

@@ -14,7 +14,7 @@ from torchrl.envs.transforms.utils import _get_reset
 
 from zfall.envs.ball_state import BallState
 from zfall.envs.base_state import check_made_for, made_for
-from zfall.envs.control import Repeats, read_control
+from zfall.envs.control import Repeats, check_shape, read_control
 from zfall.envs.forces import StepForces
 from zfall.envs.observer import Observed, Observer, copies, with_flags
 from zfall.envs.placing import Placing, start_of
@@ -207,6 +207,7 @@ class HumanoidEnv(EnvBase):
         self._forces.take(self.simulation.wrench, tensordict.get(("push", "wrench"), None))
         kick = tensordict.get(("push", "kick"), None)
         if kick is not None:
+            check_shape("push.kick", kick, (self.num_envs, 3))
             self.simulation.qvel[:, :3] += kick
         if self._ball:
             self._ball.launch(self.simulation, tensordict)
