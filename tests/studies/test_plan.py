@@ -21,7 +21,7 @@ from zfall.studies.plan import battery_of, in_test
         ({"training_size": None}, "study.training_size", "None"),
         ({"battery": {"name": "planar", "start": 1}}, "study.battery", "start"),
         ({"battery": {"name": "plane"}}, "study.battery", "plane"),
-        ({"seeds": [0, 0]}, "none (seed 0)", "none (seed 0)"),
+        ({"seeds": [0, 0]}, "study.seeds", "[0, 0]"),
         ({"rows": {"a": [], "b": ["symmetry=none"]}}, "b (seed 0)", "a (seed 0)"),
         ({"tests": {"a": None, "b": None}}, "none (seed 0, b)", "none (seed 0, a)"),
         ({"rows": {"a": ["+minibatch=7"]}}, "study.rows.a: minibatch", "minibatches"),
@@ -50,9 +50,8 @@ from zfall.studies.plan import battery_of, in_test
     ],
 )
 def test_what_would_fail_after_training_is_refused_before(tiny, change, key, value):
-    study = tiny(**change)
     with pytest.raises(ValueError, match=f"{re.escape(key)}.*{re.escape(value)}"):
-        _ = study.plan
+        _ = tiny(**change).plan
 
 
 @pytest.mark.parametrize("missing", ["name", "rows", "battery"])

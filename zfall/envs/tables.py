@@ -18,6 +18,8 @@ INTERFACE = ("action", "observation")  # transforms by which a policy acts and s
 
 def robot_of(cfg: DictConfig) -> Robot:
     """The robot of the config of an env."""
+    if not isinstance(cfg.base_env, DictConfig):
+        raise ValueError(f"env.base_env must be a table, got {cfg.base_env}.")
     robot = cfg.base_env.get("robot")
     return ZEROTH01 if robot is None else instantiate(robot)
 
