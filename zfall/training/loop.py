@@ -73,9 +73,9 @@ def resumed_config(
                 f"only {', '.join(free)} may change."
             )
     cfg = DictConfig(OmegaConf.create(stored))
-    for key, default in compose_config().items():  # for a run from before
-        if key not in cfg:
-            cfg[key] = default
+    for name, default in compose_config().items():  # for a run from before
+        if name not in cfg:
+            cfg[name] = default
     for key in (override.partition("=")[0] for override in overrides):
         if key not in _OF_THE_CALL:
             OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
