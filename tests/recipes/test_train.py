@@ -92,7 +92,10 @@ BAD = [
         ["env.transforms.push.size=0.3"],
         "env.transforms.push.size must be a list, [0.3], or null, got 0.3",
     ),
-    (["env.transforms.delay=7"], "env.transforms.delay must be a table or null, got 7"),
+    (
+        ["env.transforms.delay=7"],
+        "env.transforms.delay must be a table with a _target_, or null, got 7",
+    ),
     (["+env.transforms.x={_target_: no.X}"], "that Python can import, got no.X: No module named"),
     (["+env.transforms.x={_target_: tests.shell.X}"], "got tests.shell.X: tests.shell has no X."),
     (
@@ -100,7 +103,7 @@ BAD = [
         "row is called in every step: beside its _target_ say _partial_: true.",
     ),
     (["max_grad_norm=0"], "max_grad_norm must be positive, got 0"),
-    (["optimizer.lr=abc"], "optimizer.lr must be a number, got abc"),
+    (["optimizer.lr=abc"], "optimizer.lr must be a number, finite and not negative, got abc"),
     (["alike=3"], "alike must divide the 8 worlds of each group (num_envs, groups), got 3"),
     (["alike=2"], "alike must be 1 without a transform that has one, got 2."),
     (["minibatches=33"], "minibatches must not be more than the 32 samples of an update, got 33"),

@@ -10,7 +10,7 @@ from torchrl.envs import TransformedEnv
 
 from zfall.complaints import check_table
 from zfall.configs import compose_config, plain_containers
-from zfall.errors import check_keys
+from zfall.errors import check_keys, check_number
 from zfall.static_checks import check_nodes
 from zfall.training.collection import group_sizes
 from zfall.training.keys import TrainKeys
@@ -119,7 +119,9 @@ def check_ranges(cfg: DictConfig) -> None:
         raise ValueError(
             f"burn_in must lie in [0, rollout_steps), {cfg.rollout_steps}, got {cfg.burn_in}."
         )
-    if "lr" in cfg.optimizer:
+    if "lr" in cfg.optimizer:  # torch takes tensors as well, so that its annotation says little
+        rule = "be a number, finite and not negative"
+        check_number(cfg.optimizer.lr, "optimizer.lr", lambda x: 0 <= x < math.inf, rule)
         low, high = ((cfg.scheduler or {}).get(key) for key in ("min_lr", "max_lr"))
         both = all(isinstance(bound, int | float) for bound in (low, high))
         if both and not low <= cfg.optimizer.lr <= high:
