@@ -112,6 +112,6 @@ def _other_side(env: HumanoidEnv, data: mujoco.MjData, link: int) -> int:
         return link
     side = _other_side(env, data, parent)
     names = (model.body(name).id for name in env.parameters.links)
-    beside = [i for i in names if model.body_parentid[i] == side and not model.body_jntnum[i]]
+    siblings = [i for i in names if model.body_parentid[i] == side and not model.body_jntnum[i]]
     image = _FLIP @ data.xipos[link]
-    return min(beside, key=lambda i: float(np.linalg.norm(data.xipos[i] - image)), default=link)
+    return min(siblings, key=lambda i: float(np.linalg.norm(data.xipos[i] - image)), default=link)
