@@ -1,8 +1,11 @@
 """What a battery may be, and what is refused."""
 
+import math
+
 import pytest
 from omegaconf import OmegaConf
 
+from zfall.configs import options_of
 from zfall.evaluation.definitions import battery_of, load_battery, table_of
 
 
@@ -29,11 +32,11 @@ def test_variants_change_the_physics_and_nothing_else():
     [
         ({"starts": "abc"}, "starts must be a whole number, got abc"),
         ({"starts": 2.5}, "starts must be a whole number, got 2.5"),
-        ({"directions": True}, "directions must be a whole number, got True"),
-        ({"impulses": 0.4}, "impulses must be a list of numbers, .*, got 0.4"),
-        ({"impulses": [0.4, "x"]}, "impulses must be a list of numbers, .*, got"),
+        ({"directions": True}, "directions must be a whole number, got true"),
+        ({"impulses": 0.4}, "battery.impulses must be a list, .*got 0.4"),
+        ({"impulses": [0.4, "x"]}, "battery.impulses.1 must be a number, got x"),
         ({"end_time": "late"}, "end_time must be a number, got late"),
-        ({"duration": "short"}, "duration must be a number or a list of numbers, got short"),
+        ({"duration": "short"}, "battery.duration must be a number or a list.*, got short"),
     ],
 )
 def test_options_of_another_kind_are_refused(options, message):
@@ -42,10 +45,35 @@ def test_options_of_another_kind_are_refused(options, message):
 
 
 def test_durations_and_sizes_that_make_no_push_are_refused():
-    with pytest.raises(ValueError, match="duration must be positive, got 0"):
+    with pytest.raises(ValueError, match="battery.duration must be positive and finite, got 0"):
         load_battery("planar", duration=0)
-    with pytest.raises(ValueError, match="impulses must be positive"):
+    with pytest.raises(ValueError, match="battery.impulses.1 must be positive"):
         load_battery("spherical", impulses=[0.2, -0.1])
+
+
+def _with(value, number):
+    """The same with a number in the place of each of its numbers, one at a time."""
+    if isinstance(value, list):
+        for at, each in enumerate(value):
+            for changed in _with(each, number):
+                yield [*value[:at], changed, *value[at + 1 :]]
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield number
+
+
+@pytest.mark.parametrize("name", options_of("battery"))
+def test_every_number_is_finite(name):
+    table = OmegaConf.to_container(table_of(name))
+    table |= {key: 1.0 for key in ("aftermath", "foot_friction", "interval") if table[key] is None}
+    table |= {key: [1.0, 1.0] for key in ("mass_factor", "load") if table[key] is None}
+    tried = 0
+    for key, value in table.items():
+        for number in (math.nan, math.inf, -math.inf):
+            for changed in _with(value, number):
+                with pytest.raises(ValueError, match=rf"battery\.{key}\b.* must .*got -?(nan|inf)"):
+                    battery_of(table | {key: changed})
+                tried += 1
+    assert tried >= 3 * 17
 
 
 @pytest.mark.parametrize("end", [3.0, 3.1])
@@ -58,7 +86,7 @@ def test_a_trial_does_not_end_before_its_push_does(end):
 
 @pytest.mark.parametrize("name", ["planar", "envelope"])
 def test_pushes_of_several_durations_are_not_mixed(name):
-    with pytest.raises(ValueError, match=f"duration of battery {name} must be one"):
+    with pytest.raises(ValueError, match="battery.duration must be one"):
         load_battery(name, duration=[0.1, 0.4])
 
 
@@ -70,8 +98,8 @@ def test_pushes_of_several_durations_are_not_mixed(name):
         ({"measures": "zfall.evaluation.effort.Effort"}, "measures must be a list"),
         ({"slope": 0.1}, "options of battery planar .*got slope"),
         ({"max_tilt": "low"}, "max_tilt .*got low"),
-        ({"mass_factor": [0.8]}, r"mass_factor .*got \[0.8\]"),
-        ({"forces": [20, 0]}, r"forces .*got \[20, 0\]"),
+        ({"mass_factor": [0.8]}, "mass_factor .*a list of 2, got .*0.8"),
+        ({"forces": [20, 0]}, "forces.0 .*got 20"),
         ({"resolution": 0.1}, "resolution must be null.*Planar.*got 0.1"),
         ({"interval": 3.0}, "interval must be null.*got 3.0"),
         ({"forces": [[20, 0]]}, "forces must be null"),
@@ -93,9 +121,9 @@ def test_a_number_that_is_missing_is_named():
 @pytest.mark.parametrize(
     ("battery", "options", "message"),
     [
-        ("envelope", {"resolution": 3.0}, "resolution must lie between"),
+        ("envelope", {"resolution": 3.0}, "battery.resolution must be below 2.*got 3.0"),
         ("envelope", {"interval": 1.0}, "interval must be null"),
-        ("spherical", {"interval": None}, "interval must be positive, got None"),
+        ("spherical", {"interval": None}, "battery.interval must be.*got null"),
         ("spherical", {"resolution": 0.1}, "resolution must be null"),
     ],
 )

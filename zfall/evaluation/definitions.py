@@ -1,43 +1,47 @@
 """What a battery is: its numbers, read from ``recipes/battery``."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 from hydra.errors import ConfigCompositionException
 from omegaconf import DictConfig, OmegaConf
 
+from zfall.complaints import complaint
 from zfall.configs import compose_config, options_of
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
+from zfall.values import ORDERED, Count, Name, NotNegative, Positive, Rule, Whole
+
+_AT_LEAST_ONE = Rule("name at least one", lambda x: len(x) > 0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Battery:
     """Definition of a battery; ``recipes/battery/planar.yaml`` explains the fields."""
 
-    version: int
-    name: str
-    kind: str
-    measures: tuple[str, ...]
-    point: str | tuple[str, ...]
-    directions: int
-    impulses: tuple[float, ...]
-    starts: int
-    start_noise: float
-    push_time: float
-    duration: float | tuple[float, ...]
-    end_time: float
-    aftermath: float | None
-    max_tilt: float
+    version: Whole
+    name: Name
+    kind: Name
+    measures: tuple[Name, ...]
+    point: Name | Annotated[tuple[Name, ...], _AT_LEAST_ONE]
+    directions: Count
+    impulses: Annotated[tuple[Positive, ...], _AT_LEAST_ONE]
+    starts: Count
+    start_noise: NotNegative
+    push_time: NotNegative
+    duration: Positive | Annotated[tuple[Positive, ...], _AT_LEAST_ONE]
+    end_time: Positive
+    aftermath: NotNegative | None
+    max_tilt: NotNegative
     min_height: float
-    foot_friction: float | None
-    mass_factor: tuple[float, float] | None
-    load: tuple[float, float] | None
-    resolution: float | None
-    interval: float | None
+    foot_friction: NotNegative | None
+    mass_factor: Annotated[tuple[Positive, Positive], ORDERED] | None
+    load: Annotated[tuple[NotNegative, NotNegative], ORDERED] | None
+    resolution: Positive | None
+    interval: Positive | None
     forces: tuple[tuple[float, float], ...]
-    force_starts: int
+    force_starts: Whole
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -96,22 +100,16 @@ def battery_of(table: DictConfig | Mapping[str, Any], **options: Any) -> Battery
     if unknown := sorted({*given, *options} - set(names)):
         raise ValueError(f"options of battery {name} are {', '.join(names)}, got {unknown[0]}.")
     numbers = given | options
-    for key, (rule, fits) in _RULES.items():
-        if not fits(numbers[key]):
-            raise ValueError(f"{key} must be {rule}, got {numbers[key]}.")
-    if not numbers["impulses"] or min(numbers["impulses"]) <= 0:
-        raise ValueError(f"impulses must be positive, at least one, got {numbers['impulses']}.")
+    for key, kind in get_type_hints(Battery, include_extras=True).items():
+        if wrong := complaint(numbers[key], kind, f"battery.{key}"):
+            raise ValueError(wrong)
     numbers["impulses"] = [float(impulse) for impulse in numbers["impulses"]]
-    for key in ("directions", "starts"):
-        if numbers[key] < 1:
-            raise ValueError(f"{key} must be at least 1, got {numbers[key]}.")
     battery = Battery(**{key: _frozen(value) for key, value in numbers.items()})
-    if min(battery.durations, default=0.0) <= 0:
-        raise ValueError(f"duration must be positive, got {battery.duration}.")
     over = battery.push_time + max(battery.durations)
     if not battery.end_time > over:
         raise ValueError(
-            f"end_time must be later than the end of the push, {over:g} s, got {battery.end_time}."
+            f"battery.end_time must be later than the end of the push, {over:g} s, "
+            f"got {battery.end_time}."
         )
     kind_of(battery).check(battery)
     followers_of(battery)
@@ -123,7 +121,8 @@ def check_single(battery: Battery, *keys: str) -> None:
     for key in keys:
         if isinstance(getattr(battery, key), tuple):
             raise ValueError(
-                f"{key} of battery {battery.name} must be one, got {getattr(battery, key)}."
+                f"battery.{key} must be one value: {battery.kind.rpartition('.')[2]} does not tell "
+                f"several apart; got {getattr(battery, key)}."
             )
 
 
@@ -132,8 +131,8 @@ def check_unused(battery: Battery, *keys: str) -> None:
     for key in keys:
         if getattr(battery, key) not in (None, ()):
             raise ValueError(
-                f"{key} must be null: {battery.kind.rpartition('.')[2]}, the kind of battery "
-                f"{battery.name}, does not read it; got {getattr(battery, key)}."
+                f"battery.{key} must be null: {battery.kind.rpartition('.')[2]}, the kind of "
+                f"battery {battery.name}, does not read it; got {getattr(battery, key)}."
             )
 
 
@@ -141,50 +140,3 @@ def _frozen(value: Any) -> Any:
     if isinstance(value, str) or not isinstance(value, Sequence):
         return value
     return tuple(map(_frozen, value))
-
-
-def _number(value: Any) -> bool:
-    return type(value) in (int, float)
-
-
-def _text(value: Any) -> bool:
-    return isinstance(value, str) and bool(value)
-
-
-def _all(values: Any, fits: Callable[[Any], bool]) -> bool:
-    return not isinstance(values, str) and isinstance(values, Sequence) and all(map(fits, values))
-
-
-def _pair(value: Any) -> bool:
-    return _all(value, _number) and len(value) == 2
-
-
-_RULES: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    **dict.fromkeys(("name", "kind"), ("a name", _text)),
-    "measures": ("a list of classes by their dotted paths", lambda value: _all(value, _text)),
-    **dict.fromkeys(
-        ("version", "directions", "starts", "force_starts"),
-        ("a whole number", lambda value: type(value) is int),
-    ),
-    **dict.fromkeys(
-        ("start_noise", "push_time", "end_time", "max_tilt", "min_height"), ("a number", _number)
-    ),
-    **dict.fromkeys(
-        ("aftermath", "foot_friction", "resolution", "interval"),
-        ("a number or null", lambda value: value is None or _number(value)),
-    ),
-    **dict.fromkeys(
-        ("mass_factor", "load"),
-        ("two numbers, [0.8,1.2], or null", lambda value: value is None or _pair(value)),
-    ),
-    "impulses": ("a list of numbers, [0.2,0.4]", lambda value: _all(value, _number)),
-    "duration": (
-        "a number or a list of numbers",
-        lambda value: _number(value) or _all(value, _number),
-    ),
-    "point": (
-        "a name, or a list of at least one",
-        lambda value: _text(value) or (bool(value) and _all(value, _text)),
-    ),
-    "forces": ("a list of pairs, [[20,0],[0,-20]]", lambda value: _all(value, _pair)),
-}

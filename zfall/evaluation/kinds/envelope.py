@@ -17,6 +17,7 @@ from zfall.evaluation.plots import envelope_plot
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head
 from zfall.evaluation.writers import Written, markdown, write_figures, write_table
+from zfall.values import shown
 
 
 class Envelope:
@@ -41,9 +42,10 @@ class Envelope:
     def check(self, battery: Battery) -> None:
         """A resolution within the sizes that are looked for, one duration."""
         resolution = battery.resolution
-        if resolution is None or not 0 < resolution < max(battery.impulses):
+        if resolution is None or resolution >= max(battery.impulses):
             raise ValueError(
-                f"resolution must lie between 0 and the largest of impulses, got {resolution}."
+                f"battery.resolution must be below {max(battery.impulses):g}, the largest of "
+                f"impulses, got {shown(resolution)}."
             )
         check_unused(battery, "interval", "forces")
         check_single(battery, "duration")

@@ -36,8 +36,8 @@ class Spherical:
     def check(self, battery: Battery) -> None:
         """A mean rest between pushes, and no listed ones."""
         check_unused(battery, "resolution", "forces")
-        if battery.interval is None or battery.interval <= 0:
-            raise ValueError(f"interval must be positive, got {battery.interval}.")
+        if battery.interval is None:
+            raise ValueError("battery.interval must be a number of seconds, got null.")
 
     def plan(self, battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
         """Rows without a direction: each push of a trial has its own."""
