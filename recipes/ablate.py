@@ -36,6 +36,7 @@ class Keys(TypedDict):
 
 
 @hydra.main(version_base=None, config_path=".", config_name="ablate")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Runs what is missing and writes ``NAME.{md,csv,tex,png,pdf}`` into ``results``."""
     with one_line_errors():

@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.configs import compose_config, config_folder
+from zfall.errors import SPOKEN
 from zfall.values import Count, Name, Positive, Seed
 
 from .shell import check_recipe, one_line_errors, start
@@ -36,6 +37,7 @@ LOSSES = ["caps=atalante", "symmetry=loss"]  # added to PPO's
 
 
 @hydra.main(version_base=None, config_path=".", config_name="bench")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Prints the ratios and writes ``bench.json`` into the run folder."""
     with one_line_errors():

@@ -10,6 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.commands import remove_if_empty, shell_line
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
 from zfall.values import Count, Name, Positive, Rule, Seed, Whole
 
@@ -57,6 +58,7 @@ OPTIONS += ["end_time"]
 
 
 @hydra.main(version_base=None, config_path=".", config_name="evaluate")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``evaluation/SETTING/{trials.csv, summary.json, *.png}`` into the run folder."""
     output = Path(HydraConfig.get().runtime.output_dir)

@@ -16,6 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.commands import remove_if_empty, shown_path
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
 
 from .shell import Changes, Checkpoint, Run, Starts, check_recipe, one_line_errors, start
@@ -32,6 +33,7 @@ class Keys(TypedDict):
 
 
 @hydra.main(version_base=None, config_path=".", config_name="export")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``policy.onnx`` and ``policy.json``."""
     output = Path(HydraConfig.get().runtime.output_dir)

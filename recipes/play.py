@@ -10,6 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import remove_if_empty, shown_path
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
 from zfall.values import Count, Positive, Seed
 
@@ -41,6 +42,7 @@ class Keys(TypedDict):
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``play.json`` and ``play.mp4`` into the run folder, or hydra's if there is none."""
     with one_line_errors():

@@ -1,11 +1,13 @@
 """How a recipe starts and ends: errors in one line, exit codes."""
 
+import inspect
 import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from traceback import walk_tb
 from typing import Annotated, Any
 
 from hydra.core.hydra_config import HydraConfig
@@ -17,6 +19,7 @@ from zfall.complaints import check_table
 from zfall.configs import config_folder, plain_containers
 from zfall.errors import SPOKEN, in_one_line
 from zfall.help import help_of
+from zfall.static_checks import check_numbers
 from zfall.values import Count, Name, Rule, one_of
 
 TRACEBACK = "ZFALL_TRACEBACK"  # set to 1 it shows where an error came from
@@ -46,16 +49,18 @@ def start(main: Callable[[], None]) -> None:
 
 
 def composed_first(main: Callable[[], None]) -> None:
-    """Runs a recipe's main; what goes wrong before hydra has its config lies in the words given.
+    """Runs a recipe's main; what goes wrong before its first line lies in the words given.
 
     Raises:
         ValueError: naming them, if hydra does not.
     """
     HydraConfig.instance().cfg = None  # of a recipe before in this process
+    begin = inspect.unwrap(main).__code__
     try:
         main()
     except Exception as error:
-        if HydraConfig.initialized() or isinstance(error, SPOKEN):
+        began = any(frame.f_code is begin for frame, _ in walk_tb(error.__traceback__))
+        if began or isinstance(error, SPOKEN):
             raise
         words = " ".join(word for word in sys.argv[1:] if "=" in word or word.startswith("~"))
         raise ValueError(
@@ -89,12 +94,14 @@ def one_line_errors(kinds: tuple[type[Exception], ...] = (Exception,)) -> Iterat
 
 
 def check_recipe(cfg: DictConfig, keys: Any) -> None:
-    """Refuses a composed config that is not what the ``TypedDict`` of a recipe says.
+    """Refuses a composed config that is not what the ``TypedDict`` of a recipe says, and any NaN.
 
     Raises:
         ValueError: naming the key.
     """
-    check_table(plain_containers(cfg), keys)
+    config = plain_containers(cfg)
+    check_numbers(config)
+    check_table(config, keys)
 
 
 def choice(group: str) -> str | None:

@@ -15,6 +15,7 @@ from .shell import check_recipe, one_line_errors, start
 
 
 @hydra.main(version_base=None, config_path=".", config_name="train")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Trains until ``total_frames``; ctrl-c ends it early, with a checkpoint to resume from."""
     made = Path(HydraConfig.get().runtime.output_dir)

@@ -34,3 +34,32 @@ def test_a_refusal_leaves_nothing_in_the_working_directory(
     monkeypatch.chdir(tmp_path)
     assert run(recipe, *arguments).returncode == 1
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("recipe", "change", "key"),
+    [
+        ("ablate", "runs={_target_: os.getcwd}", "runs"),
+        ("ablate", "trust=[{_target_: os.getcwd}]", "trust.0"),
+        ("evaluate", "battery.impulses=[nan,1]", "battery.impulses.0"),
+        ("evaluate", "battery.min_height=inf", "battery.min_height"),
+        ("train", "hydra.run.dir={_target_: os.getcwd}", "hydra.run.dir"),
+        ("train", "hydra.callbacks.a._target_=nowhere.Nobody", "hydra.callbacks.a"),
+        ("train", "hydra.job.env_set=[1]", "hydra.job.env_set"),
+        ("train", "hydra.output_subdir={a: 1}", "hydra.output_subdir"),
+        ("train", "hydra/launcher=nobody", "hydra/launcher"),
+        ("train", "hydra/job_logging=nobody", "hydra/job_logging"),
+        ("train", "hydra.verbose=[3]", "hydra"),
+        ("train", "hydra.searchpath=[3]", "hydra.searchpath"),
+        ("train", "hydra.mode=ALL", "hydra.mode"),
+    ],
+)
+def test_one_line_says_what_hydra_or_a_recipe_refuses(recipe, change, key, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = {"ablate": ["study=actor"], "evaluate": ["run=pose_hold", "battery=spherical"]}
+    done = run(recipe, *given.get(recipe, TINY), change)
+    assert done.returncode == 1, done
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("error: ")
+    assert key in done.stderr
+    assert not any(tmp_path.iterdir())

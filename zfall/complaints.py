@@ -7,14 +7,9 @@ hydra builds something later, and messages name rule, value and repair.
 
 import math
 from collections.abc import (
-    Callable,
-    Collection,
-    Hashable,
     Iterable,
     Mapping,
-    MutableMapping,
     Sequence,
-    Set,
 )
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -33,11 +28,21 @@ from typing import (
     is_typeddict,
 )
 
+from zfall.configs import nodes_of
+from zfall.kinds import (
+    LISTS,
+    TABLES,
+    described,
+    is_callable,
+    is_live,
+    is_open,
+    is_ours,
+    is_plain,
+    is_table,
+)
 from zfall.values import INFINITE, Rule, shown
 
 _MISSING = "???"
-_TABLES = (dict, Mapping, MutableMapping)
-_LISTS = (list, tuple, set, frozenset, Sequence, Collection, Iterable, Set)
 
 
 def complaint(value: Any, kind: Any, place: str) -> str | None:
@@ -99,11 +104,11 @@ def _complain(value: Any, kind: Any, place: str, depth: int = 0) -> _Complaint |
     origin = get_origin(kind)
     if isinstance(value, str) and value == _MISSING:
         return _Complaint(f"{place} must be given, it has no default; got ???.", depth)
-    if _is_open(kind):
+    if is_open(kind):
         return None
     if origin in (Union, UnionType):
         return _of_any(value, get_args(kind), place, depth)
-    if is_node(value) and not is_typeddict(kind) and not _is_table(kind):
+    if is_node(value) and not is_typeddict(kind) and not is_table(kind):
         return _of_node(value, kind, place, depth)
     found = _of_kind(value, kind, place, depth, INFINITE in extras)
     if found is None:
@@ -128,7 +133,7 @@ def _of_any(value: Any, kinds: Sequence[Any], place: str, depth: int) -> _Compla
 
 def _of_node(value: Any, kind: Any, place: str, depth: int) -> _Complaint | None:
     """Whether a table is built at once or called later; what it builds is seen then."""
-    if value.get("_partial_") and not _is_callable(kind):
+    if value.get("_partial_") and not is_callable(kind):
         return _Complaint(f"{place} must be built at once: take its _partial_ out.", depth + 1)
     return None
 
@@ -151,13 +156,13 @@ def _of_kind(value: Any, kind: Any, place: str, depth: int, infinite: bool) -> _
         return (
             None if whole or type(value) is wanted else _must(place, _be(kind, value), value, depth)
         )
-    if _is_callable(kind):
+    if is_callable(kind):
         return _must(place, "be a table with a _target_ and _partial_: true", value, depth)
     if not isinstance(origin, type):
         return None
-    if origin in _TABLES:
+    if origin in TABLES:
         return _of_mapping(value, kind, place, depth)
-    if origin in _LISTS:
+    if origin in LISTS:
         return _of_list(value, kind, origin, place, depth)
     return _of_class(value, origin, place, depth)
 
@@ -220,6 +225,9 @@ def _of_table(value: Any, kind: Any, place: str, depth: int) -> _Complaint | Non
             return _Complaint(unknown_key(place, key, hints), depth + 1)
     for key, of_value in hints.items():
         if key in value:
+            if is_plain(of_value):
+                for node, _ in nodes_of(value[key], joined(place, key)):
+                    return _must(node, "be plain, as nothing is built here", "a _target_", depth)
             if found := _complain(value[key], of_value, joined(place, key), depth + 1):
                 return found
         elif key in kind.__required_keys__:
@@ -233,63 +241,10 @@ def _be(kind: Any, value: Any) -> str:
     if get_origin(kind) is Annotated:
         return _be(get_args(kind)[0], value)
     origin = get_origin(kind) or kind
-    if origin in _LISTS:
+    if origin in LISTS:
         return "be a list" if isinstance(value, Mapping) else f"be a list, [{shown(value)}],"
     return f"be {described(kind)}"
 
 
-def described(kind: Any) -> str:
-    """A kind in words."""
-    origin, args = get_origin(kind) or kind, get_args(kind)
-    if origin is Annotated:
-        return described(args[0])
-    if origin is NotRequired:
-        return described(args[0])
-    if origin in (Union, UnionType):
-        return " or ".join(map(described, args))
-    if origin is Literal:
-        return " or ".join(shown(choice) for choice in args)
-    names: dict[Any, str] = {
-        bool: "true or false",
-        int: "a whole number",
-        float: "a number",
-        str: "text",
-    }
-    names |= {NoneType: "null", None: "null", Any: "anything"}
-    if isinstance(origin, Hashable) and origin in names:
-        return names[origin]
-    if _is_callable(kind):
-        return "a table with a _target_ and _partial_: true"
-    if is_typeddict(kind) or origin in _TABLES:
-        return "a table"
-    if origin in _LISTS:
-        return "a list"
-    return f"a table with a _target_ that makes a {getattr(origin, '__name__', origin)}"
-
-
-def is_live(kind: Any) -> bool:
-    """Whether no value of a yaml is of this kind, only an object that a table makes."""
-    if get_origin(kind) in (Union, UnionType):
-        return all(map(is_live, get_args(kind)))
-    return described(kind).startswith("a table with a _target_ that makes")
-
-
-def is_ours(made: Any) -> bool:
-    """Whether a class or function is of this package, so that we know who builds or calls it."""
-    return (getattr(made, "__module__", None) or "").partition(".")[0] == "zfall"
-
-
 def _plain(value: Any) -> bool:
     return value is None or isinstance(value, bool | int | float | str | list | tuple)
-
-
-def _is_open(kind: Any) -> bool:
-    return kind in (Any, object)
-
-
-def _is_table(kind: Any) -> bool:
-    return (get_origin(kind) or kind) in _TABLES
-
-
-def _is_callable(kind: Any) -> bool:
-    return (get_origin(kind) or kind) is Callable

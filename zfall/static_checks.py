@@ -11,9 +11,10 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Unpack, get_args, get_origin, get_type_hints
 
-from zfall.complaints import complaint, described, is_live, is_ours, joined, unknown_key
+from zfall.complaints import complaint, joined, unknown_key
 from zfall.configs import nodes_of
 from zfall.errors import object_at
+from zfall.kinds import described, is_live, is_ours
 from zfall.values import Name, shown
 
 HYDRA_KEYS = {
@@ -40,11 +41,24 @@ def check_nodes(config: Any, place: str = "") -> None:
             naming the nearest; a value of another kind than its parameter takes, or against its
             rule; or a parameter that has no value.
     """
+    check_numbers(config, place)
+    for key, node in nodes_of(config, place):
+        check_node(node, key)
+
+
+def check_numbers(config: Any, place: str = "") -> None:
+    """Refuses NaN wherever it stands, even where any value will do.
+
+    Args:
+        config: plain containers.
+        place: full key of ``config`` itself.
+
+    Raises:
+        ValueError: naming the key.
+    """
     for key, value in _values_of(config, place):
         if isinstance(value, float) and math.isnan(value):
             raise ValueError(f"{key} must be a number, got nan.")
-    for key, node in nodes_of(config, place):
-        check_node(node, key)
 
 
 def check_node(node: Mapping[str, Any], place: str) -> None:

@@ -17,6 +17,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.commands import shown_path
+from zfall.errors import SPOKEN
 from zfall.values import Count, Name, Positive, Seed, Whole
 
 from ..shell import check_recipe, one_line_errors, start
@@ -42,6 +43,7 @@ COUNTS = ("candidates", "trials", "elite", "rounds")
 
 
 @hydra.main(version_base=None, config_path=".", config_name="catches")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``catches.npz``, and prints what comes of each movement on all its falls."""
     with one_line_errors():

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.commands import shown_path
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
 from zfall.values import Count, Names, NotNegative, Positive, Rule, Seed
 
@@ -40,6 +41,7 @@ PUSHED = ("seed", "starts", "impulses", "points", "duration", "times")  # how
 
 
 @hydra.main(version_base=None, config_path=".", config_name="falls")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``falls.npz``, see ``zfall.falling.banks.load_bank``."""
     with one_line_errors():

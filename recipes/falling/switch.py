@@ -13,6 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.commands import shown_path
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
 
 from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
@@ -29,6 +30,7 @@ class Keys(TypedDict):
 
 
 @hydra.main(version_base=None, config_path=".", config_name="switch")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``checkpoints/last.pt`` with both policies and the env ``push_to_kneel``."""
     with one_line_errors():

@@ -14,6 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import shown_path
+from zfall.errors import SPOKEN
 from zfall.trust import trusting
 from zfall.values import Count, Names, Positive, Rule, Seed
 
@@ -42,6 +43,7 @@ ON = ("noise", "delay")  # transforms that stay on by themselves, where there ar
 
 
 @hydra.main(version_base=None, config_path=".", config_name="trigger")
+@one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``fall_network.pt``, ``trigger.csv``, ``trigger.md`` and figures."""
     folder = Path(HydraConfig.get().runtime.output_dir)
