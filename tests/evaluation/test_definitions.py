@@ -111,6 +111,12 @@ def test_tables_that_make_no_battery_are_refused(change, message):
         battery_of(table | change)
 
 
+def test_options_may_come_from_a_config():
+    options = OmegaConf.create({"impulses": [0.2], "point": ["torso"]})
+    battery = load_battery("envelope", **dict(options.items()))
+    assert (battery.impulses, battery.point) == ((0.2,), ("torso",))
+
+
 def test_a_number_that_is_missing_is_named():
     table = OmegaConf.to_container(table_of("planar"))
     table.pop("aftermath")

@@ -146,9 +146,15 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
         (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
         (["run=best", "starts=abc"], "error: starts must be a whole number or null, got abc."),
         (["run=best", "impulses=0.4"], "error: impulses must be a list, [0.4], or null, got 0.4."),
-        (["run=best", "battery=spherical", "resolution=0.1"], "error: resolution must be null"),
+        (
+            ["run=best", "battery=spherical", "resolution=0.1"],
+            "error: battery.resolution must be null",
+        ),
         (["run=best", "battery=linear"], "envelope kneel planar"),
-        (["run=best", "battery.max_tilt=low"], "error: max_tilt must be a number, got low."),
+        (
+            ["run=best", "battery.max_tilt=low"],
+            "error: battery.max_tilt must be a number, got low.",
+        ),
         (
             ["run=best", "battery.kind=zfall.evaluation.Round"],
             "error: battery.kind must name something",

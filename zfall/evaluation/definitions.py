@@ -8,7 +8,7 @@ from hydra.errors import ConfigCompositionException
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.complaints import complaint
-from zfall.configs import compose_config, options_of
+from zfall.configs import compose_config, options_of, plain_containers
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
 from zfall.values import ORDERED, Count, Name, NotNegative, Positive, Rule, Whole
@@ -99,7 +99,10 @@ def battery_of(table: DictConfig | Mapping[str, Any], **options: Any) -> Battery
         )
     if unknown := sorted({*given, *options} - set(names)):
         raise ValueError(f"options of battery {name} are {', '.join(names)}, got {unknown[0]}.")
-    numbers = given | options
+    numbers = given | {
+        key: plain_containers(value) if OmegaConf.is_config(value) else value
+        for key, value in options.items()
+    }
     for key, kind in get_type_hints(Battery, include_extras=True).items():
         if wrong := complaint(numbers[key], kind, f"battery.{key}"):
             raise ValueError(wrong)
