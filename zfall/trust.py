@@ -49,6 +49,7 @@ ALLOWED = (
     "zfall.losses",
     "zfall.modules",
     "zfall.robots",
+    "zfall.training.optimizers.KLProportionalLR",
     "zfall.training.optimizers.MuonAndAdam",
     "torchrl.objectives.KLAdaptiveLR",
     *(f"torch.optim.{name}" for name in _OPTIMIZERS),

@@ -257,7 +257,7 @@ def test_a_gradient_that_is_no_number_is_not_taken(compose_config):
     before = [parameter.detach().clone() for parameter in learner.parameters]
     nothing = {"broken": lambda _: TensorDict({"loss_broken": (0.0 * weights.sum()).sqrt()})}
     learner.losses.auxiliary = nothing
-    with pytest.raises(ValueError, match="loss gradient must stay finite, got nan in update 1"):
+    with pytest.raises(ValueError, match="gradient/actor must stay finite, got nan in update 1"):
         learner.learn(learner.collect())
     for parameter, value in zip(learner.parameters, before, strict=True):
         assert torch.equal(parameter, value)
@@ -800,3 +800,21 @@ def test_a_plain_dict_is_completed_by_the_quickstarts_values(compose_config):
 def test_a_key_that_nothing_reads_is_refused_in_a_dict():
     with pytest.raises(ValueError, match=r"num_env is not a key .* did you mean num_envs"):
         Learner({"num_env": 8})
+
+
+def test_batches_of_statistics_are_seen_and_not_learned_from(compose_config):
+    """Two of 8 worlds x 4 steps come before the first that is learned from; all three count."""
+    learner = Learner(compose_config("num_envs=8", "rollout_steps=4", "statistics_batches=2"))
+    before = [parameter.detach().clone() for parameter in learner.parameters]
+    first = learner.collect()
+    assert all(map(torch.equal, learner.parameters, before))
+    seen = normalizer_of(learner.actor)
+    assert seen.count == 2 * 8 * 4
+    assert learner.frames == 3 * 8 * 4
+    assert learner.updates == 0
+    mean = seen.mean.clone()
+    learner.learn(first)  # with the statistics that it was collected with
+    assert seen.count == 3 * 8 * 4
+    assert not torch.equal(seen.mean, mean)
+    learner.collect()
+    assert learner.frames == 4 * 8 * 4

@@ -11,7 +11,12 @@ from torch.optim import lr_scheduler
 from zfall import checkpoint
 from zfall.errors import in_one_line
 from zfall.training.learner import Learner
-from zfall.training.optimizers import MuonAndAdam, build_optimizer, learning_rates
+from zfall.training.optimizers import (
+    KLProportionalLR,
+    MuonAndAdam,
+    build_optimizer,
+    learning_rates,
+)
 from zfall.trust import trusting
 
 SMALL = ("num_envs=4", "rollout_steps=4", "epochs=2")
@@ -63,6 +68,7 @@ MUON = ("optimizer._target_=zfall.training.optimizers.MuonAndAdam",)
 SGD = ("optimizer._target_=torch.optim.SGD", "+optimizer.momentum=0.9")
 LEARNING = {
     "Muon": MUON,
+    "proportional": ("scheduler._target_=zfall.training.optimizers.KLProportionalLR",),
     "SGD": SGD,
     "lists": ("+optimizer.betas=[0.8,0.99]", *scheduler("MultiStepLR", milestones="[1,2]")),
     "Muon, StepLR": (*MUON, *scheduler("StepLR", step_size=1, gamma=0.5)),
@@ -174,3 +180,35 @@ def test_what_no_optimizer_or_scheduler_can_be_made_of_is_refused_with_its_key(v
     with pytest.raises((ValueError, HydraException)) as caught:
         build_optimizer(cfg, [torch.nn.Parameter(torch.zeros(2, 2))])
     assert in_one_line(caught.value).startswith(next(iter(values)))
+
+
+def rate_after(kl: float, **values: float) -> float:
+    """Learning rate, of 1 before, after an update with a divergence and a target of 0.01."""
+    optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0)
+    scheduler = KLProportionalLR(optimizer, 0.01, **({"max_lr": 10.0} | values))
+    scheduler.step(kl=kl)
+    return optimizer.param_groups[0]["lr"]
+
+
+def test_a_learning_rate_goes_by_the_ratio_of_target_and_divergence():
+    assert rate_after(0.02, gain=0.5) == pytest.approx(0.5**0.5)
+    assert rate_after(0.01, gain=0.5) == 1
+    assert rate_after(0.005, gain=1.0, factor=3.0) == pytest.approx(2)
+    assert rate_after(1.0, gain=1.0, factor=1.5) == pytest.approx(1 / 1.5)  # and no further
+    assert rate_after(0.0) == 1  # nothing moved, so nothing is known
+    assert rate_after(0.0001, gain=1.0, factor=2.0, max_lr=1.25) == 1.25
+
+
+def test_the_divergence_of_updates_comes_to_its_target():
+    """Of a system whose divergence is ``(rate / 0.003)^2 / 100``, from a rate three times as much."""
+    optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=9e-3)
+    scheduler = KLProportionalLR(optimizer, 0.01)
+    for _ in range(30):
+        scheduler.step(kl=(optimizer.param_groups[0]["lr"] / 3e-3) ** 2 / 100)
+    assert optimizer.param_groups[0]["lr"] == pytest.approx(3e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize("values", [{"gain": 0.0}, {"gain": 1.5}, {"factor": 1.0}])
+def test_a_rule_that_would_not_correct_is_refused(values):
+    with pytest.raises(ValueError, match=next(iter(values))):
+        rate_after(0.01, **values)

@@ -138,7 +138,7 @@ def check_finite(values: dict[str, Tensor], update: int) -> None:
         ValueError: naming the first.
     """
     for key, value in values.items():
-        if key.startswith("loss") and not math.isfinite(value):
+        if key.startswith(("loss", "gradient")) and not math.isfinite(value):
             raise ValueError(
                 f"{key} must stay finite, got {value.item()} in update {update}; checkpoints "
                 "written before are sound."

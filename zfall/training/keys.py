@@ -35,6 +35,13 @@ class LossKeys(TypedDict):
     value_error_clip: Positive | None
 
 
+class NormKeys(TypedDict):
+    """``max_grad_norm`` with a bound for each network."""
+
+    actor: PositiveOrInfinite
+    critic: PositiveOrInfinite
+
+
 class Showcase(TypedDict):
     """What is shown at the end of a training."""
 
@@ -55,7 +62,8 @@ class TrainKeys(TypedDict):
     epochs: Count
     minibatches: Count
     burn_in: Whole
-    max_grad_norm: PositiveOrInfinite
+    max_grad_norm: PositiveOrInfinite | NormKeys
+    statistics_batches: Whole
     averaging: FractionBelowOne
     resume: Name | None
     warm_start: Name | None

@@ -1,6 +1,6 @@
 """One training: collects batches and learns from them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -9,7 +9,6 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torch import Tensor
-from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel
 from torchrl.envs import TransformedEnv
 from torchrl.modules import set_recurrent_mode
@@ -21,8 +20,10 @@ from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
 from zfall.simulation.model import identity_of
 from zfall.training import build
+from zfall.training.averaging import moving_average
 from zfall.training.checks import check_finite, check_task, whole_config
 from zfall.training.collection import Worlds
+from zfall.training.gradients import clip_gradients, parts_of
 from zfall.training.losses import buffers_of, check_networks, check_reads
 from zfall.training.minibatches import (
     divergence_of,
@@ -69,7 +70,8 @@ class Learner:
             raise ValueError(f"burn_in must be 0 without memory to refresh, got {cfg.burn_in}.")
         self._acting = build.acting_policy(self.actor, along, spec)
         self.advantage = build.build_advantage(cfg, self.critic)
-        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self._parts = parts_of(self.actor, self.critic)
+        self.parameters = [each for part in self._parts.values() for each in part]
         self.optimizer, self.scheduler = build_optimizer(cfg, self.parameters)
         # A mode is searched for, by the losses that need it and for their share alone.
         self._one_pass = self.actor[-1].distribution_kwargs.get("statistic", "mean") == "mean"
@@ -110,9 +112,18 @@ class Learner:
         return int(self.cfg.num_envs * self.cfg.rollout_steps)
 
     def collect(self) -> TensorDictBase:
-        """Runs the policy for ``rollout_steps``; returns the batch ``(N, T)``."""
-        self.frames += self.frames_per_batch
-        return self.worlds.run(self._act, self.cfg.rollout_steps, self._stored)
+        """Runs the policy for ``rollout_steps``; returns the batch ``(N, T)``.
+
+        Before the first there are ``statistics_batches`` more, which are not learned from: they
+        set the statistics by which observations are normalised.
+        """
+        more = self.cfg.statistics_batches if self.updates == 0 else 0
+        for number in range(more + 1):
+            self.frames += self.frames_per_batch
+            batch = self.worlds.run(self._act, self.cfg.rollout_steps, self._stored)
+            if number < more:
+                self._see(batch)
+        return batch
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Some passes of PPO over the batch; returns the means of the last pass."""
@@ -210,9 +221,9 @@ class Learner:
         """One step of the optimizer; returns the figures of the minibatch."""
         total = sum(value for key, value in out.items() if key.startswith("loss_"))
         total.backward()
-        norm = clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
         figures = {key: value.detach().mean() for key, value in out.items()}
-        check_finite(figures | {"loss gradient": norm}, self.updates + 1)
+        figures |= clip_gradients(self._parts, self.cfg.max_grad_norm)
+        check_finite(figures, self.updates + 1)
         self.optimizer.step()
         self.optimizer.zero_grad()
         return figures
@@ -283,18 +294,3 @@ class Learner:
         # Sums over parts, one for each thread, are rounded in another order with another number.
         torch.set_num_threads(state.get("threads", torch.get_num_threads()))
         self.frames, self.updates = state["frames"], state["updates"]
-
-
-def moving_average(decay: float) -> Callable[..., None]:
-    """Rule of an exponential average whose weights sum to one from the first update on.
-
-    After n updates that of k updates ago weighs ``decay^k (1 - decay) / (1 - decay^n)``; torch's
-    own rule gives ``decay^(n - 1)`` to the first one, a third of all after 60 updates at 0.98.
-    """
-
-    @torch.no_grad()
-    def update(averaged: list[Tensor], current: list[Tensor], count: Tensor) -> None:
-        weight = (1 - decay) / (1 - decay ** (int(count) + 1))
-        torch._foreach_lerp_(averaged, current, weight)
-
-    return update

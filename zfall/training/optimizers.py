@@ -1,6 +1,7 @@
 """The optimizer of a training and its learning rate."""
 
 import inspect
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -8,9 +9,11 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from torch import Tensor
+from torchrl.objectives import KLAdaptiveLR
 
 from zfall.errors import named, object_at
 from zfall.static_checks import parameters_of
+from zfall.values import Positive
 
 FOLLOWED = ("kl", "metrics")  # what a scheduler's step may take, see follow
 
@@ -100,6 +103,51 @@ def learning_rates(optimizer: torch.optim.Optimizer) -> dict[str, float]:
     """``learning_rate`` of the first group of parameters; ``learning_rate/1`` of the next ..."""
     rates = [float(group["lr"]) for group in optimizer.param_groups]
     return {f"learning_rate/{n}" if n else "learning_rate": rate for n, rate in enumerate(rates)}
+
+
+class KLProportionalLR(KLAdaptiveLR):
+    """Brings the divergence of each update to its target, where ``KLAdaptiveLR`` leaves a band.
+
+    After each update the learning rate is multiplied by ``(target_kl / kl)^gain``, by at most
+    ``factor`` either way. The divergence goes with the square of the learning rate, so that a
+    gain of 0.5 would correct all of an error at once; less of it follows the noise less.
+
+    Args:
+        optimizer: whose groups all get the new rate in proportion.
+        target_kl: mean divergence of an update.
+        gain: share of an error, in logarithms, that is corrected after an update.
+        factor: largest change of the rate after an update.
+        min_lr, max_lr: bounds of the rate.
+
+    Raises:
+        ValueError: on a value out of its range.
+    """
+
+    def __init__(
+        self,
+        optimizer: torch.optim.Optimizer,
+        target_kl: Positive,
+        *,
+        gain: Positive = 0.2,
+        factor: float = 1.5,
+        min_lr: Positive = 1e-5,
+        max_lr: Positive = 1e-2,
+    ):
+        super().__init__(optimizer, target_kl, factor=factor, min_lr=min_lr, max_lr=max_lr)
+        if not 0 < gain <= 1:
+            raise ValueError(f"gain must be above 0 and at most 1, got {gain}.")
+        self.gain = gain
+
+    def step(self, kl: float | Tensor) -> None:
+        """Changes the rates by the divergence of an update; one of 0 changes nothing."""
+        found = float(kl)
+        if not math.isfinite(found):
+            raise ValueError(f"kl must be finite, got {found}.")
+        change = (self.target_kl / found) ** self.gain if found > 0 else 1.0
+        change = min(max(change, 1 / self.factor), self.factor)
+        for group in self.optimizer.param_groups:
+            group["lr"] = min(max(group["lr"] * change, self.min_lr), self.max_lr)
+        self.last_kl = found
 
 
 class MuonAndAdam(torch.optim.Optimizer):

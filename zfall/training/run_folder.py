@@ -142,7 +142,8 @@ class RunFolder:
         row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
         row |= {key: losses.pop(key) for key in ("kl", "passes")}
         row |= learning_rates(learner.optimizer)
-        row |= {f"loss/{k.removeprefix('loss_')}": v for k, v in losses.items()}
+        for key, value in losses.items():
+            row[key if "/" in key else f"loss/{key.removeprefix('loss_')}"] = value
         began, collected, ended = times
         timing = {
             "update": learner.updates,
