@@ -75,8 +75,8 @@ def test_the_base_env_is_copied_with_what_differs_by_world():
     other = pickle.loads(pickle.dumps(env))
     td = env.reset().set("target", 0.5 * torch.ones(2, 20))
     assert_same(env.step(td.copy()), other.step(other.reset().set("target", td["target"])))
-    assert other.simulation._models[0].actuator_gainprm[0, 0] == pytest.approx(
-        0.5 * other.simulation._models[1].actuator_gainprm[0, 0]
+    assert other.simulation.model_of(0).actuator_gainprm[0, 0] == pytest.approx(
+        0.5 * other.simulation.model_of(1).actuator_gainprm[0, 0]
     )
 
 

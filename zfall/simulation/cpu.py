@@ -8,64 +8,29 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
+from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zfall.simulation.compiled import compiled, sound
-from zfall.simulation.thread_pool import ThreadPool
+from zfall.simulation.compiled import sound
+from zfall.simulation.forks import begin_again_in_forks
 from zfall.simulation.turns import others_turn
 
-_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _INPUT = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 # Fields that others are derived from.
 _CONSTANTS = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
-CHUNKS = 32  # of worlds, for each thread: the last one at work keeps the others waiting
-
-
-@compiled
-def _take_over(
-    state: NDArray[np.float64],
-    states: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    passed: float,
-) -> NDArray[np.bool_]:
-    """Copies the last of ``states`` ``(N, S, size)`` of some worlds into ``state`` ``(N, size)``.
-
-    Returns:
-        Worlds ``(N,)`` of these whose time went on by less than ``passed``: MuJoCo gave up on them.
-    """
-    late = np.zeros(len(state), np.bool_)
-    for i in rows:
-        late[i] = abs(states[i, -1, 0] - state[i, 0] - passed) > 1e-9
-        state[i] = states[i, -1]
-    return late
-
-
-def site_poses(
-    model: mujoco.MjModel, data: mujoco.MjData, qpos: Tensor, sites: Sequence[int]
-) -> tuple[Tensor, Tensor]:
-    """Positions and rotations of sites, see ``Simulation.site_poses``; ``data`` is scratch."""
-    position = torch.empty(len(qpos), len(sites), 3, dtype=torch.float64)
-    rotation = torch.empty(len(qpos), len(sites), 9, dtype=torch.float64)
-    into = zip(qpos.numpy(), position.numpy(), rotation.numpy(), strict=True)
-    state_of, places, rotations = data.qpos, data.site_xpos, data.site_xmat
-    index = np.asarray(sites)
-    for state, place, axes in into:  # kinematics alone: some microseconds each
-        state_of[:] = state
-        mujoco.mj_kinematics(model, data)
-        place[:], axes[:] = places[index], rotations[index]
-    return position, rotation.unflatten(-1, (3, 3))
-
 
 class Simulation:
-    """Worlds of one MuJoCo model, stepped together by ``mujoco.rollout`` on all cores.
+    """Worlds of one MuJoCo model, stepped together by ``mujoco.batch`` on all cores.
 
     Every call starts the constraint solver cold, so that the result depends on the state and the
     inputs alone: not on the number of threads, and not on what ran before.
 
     Args:
-        model: compiled model; its timestep is the physics step.
+        model: compiled model; its timestep is the physics step. What is changed in it counts
+            until the first call of ``set_fields``.
         num_worlds: number of worlds N.
         substeps: physics steps S in one call of ``step``.
         threads: threads of the pool; all cores if ``None``.
@@ -87,53 +52,37 @@ class Simulation:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, or null for all cores, got {threads}.")
-        self.model, self.substeps = model, substeps
-        self._models = [model] * num_worlds  # one object for all until set_fields
+        self.model, self.num_worlds, self.substeps = model, num_worlds, substeps
         self.threads = threads or len(os.sched_getaffinity(0))
-        self._rows = np.arange(num_worlds)
-        self._stepped: Tensor | None = None  # numbers of the worlds that step; None: all
+        self._stepped: NDArray[np.int32] | None = None  # the worlds that step; None: all
+        self._fields: dict[str, NDArray[np.float64]] = {}  # that differ by world (N, ...)
         size = mujoco.mj_stateSize(model, _STATE)
         inputs = model.nu + 6 * model.nbody
-        self._state = torch.zeros(num_worlds, size, dtype=torch.float64)
         self._states = torch.zeros(num_worlds, substeps, size, dtype=torch.float64)
         self._inputs = torch.zeros(num_worlds, substeps, inputs, dtype=torch.float64)
         self._sensors = torch.zeros(num_worlds, substeps, model.nsensordata, dtype=torch.float64)
         self.diverged = torch.zeros(num_worlds, dtype=torch.bool)
-        self._changed: set[str] = set()  # fields that differ by world
         self._begin()
+        self._batch.set_models(model)  # as it is, and not a copy of what it was
+        begin_again_in_forks(self)
 
     def _begin(self) -> None:
-        """Makes the threads, and the views of what they work on."""
+        """Makes the batch, and the views of what it works on."""
         model = self.model
-        self._pool = ThreadPool(self.threads)
-        self._data = [mujoco.MjData(model) for _ in range(self.threads)]
+        self._batch = Batch(model, self.num_worlds, self.threads)
+        still = copy.copy(model)  # for the poses of states that no world is in
+        still.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        self._poses = Batch(still, self.num_worlds, 1)
+        self._all = torch.from_numpy(self._batch.state)
+        self._state = self._all[:, : self._states.shape[-1]]
+        self._warm_start = self._batch.bind("qacc_warmstart")
+        self._control = torch.from_numpy(self._batch.bind("ctrl"))
+        self._now = self._batch.bind("sensordata")  # of the last call
         end = 1 + model.nq  # the state begins with the time
         self.qpos = self._state[:, 1:end]
         self.qvel = self._state[:, end : end + model.nv]
         # The world body, which comes first, keeps its zeros.
         self.wrench = self._inputs[:, :, model.nu + 6 :].unflatten(-1, (-1, 6))
-
-    def __getstate__(self) -> dict[str, Any]:
-        """For copies and pickles: of the worlds' models what differs, of the views nothing."""
-        made = ("_pool", "_data", "_models", "qpos", "qvel", "wrench")
-        state = {key: value for key, value in self.__dict__.items() if key not in made}
-        fields = {
-            name: np.stack([getattr(self._owner(model, name), name) for model in self._models])
-            for name in self._changed
-        }
-        return state | {"fields": fields}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        fields = state.pop("fields")
-        self.__dict__.update(state)
-        self._models = [self.model] * len(self._rows)
-        self._begin()
-        self.set_fields(torch.ones(len(self._rows), dtype=torch.bool), fields)
-
-    @staticmethod
-    def _owner(model: mujoco.MjModel, name: str) -> Any:
-        """Where a field lies: in the model, or in its options."""
-        return model.opt if name == "gravity" else model
 
     @property
     def substates(self) -> tuple[Tensor, Tensor]:
@@ -157,15 +106,24 @@ class Simulation:
             it. Rows that ``diverged`` are not to be used.
         """
         self._inputs[:, :, : self.model.nu] = control
-        if self._stepped is None:
-            self._roll(self._models, self._state, self._inputs, self._states, self._sensors)
-        else:
-            self._roll_some(self._stepped)
-        rows = self._rows if self._stepped is None else self._stepped.numpy()
-        state, passed = self._state.numpy(), self.substeps * self.model.opt.timestep
-        late = _take_over(state, self._states.numpy(), rows, passed)
-        good = sound(state) & sound(self._sensors[:, -1].numpy())
-        self.diverged = torch.from_numpy(late | ~good)
+        self._warm_start[:] = 0.0
+        before, rows = self._state[:, 0].clone(), self._stepped
+        failed = torch.zeros(self.num_worlds, dtype=torch.bool)
+        try:
+            if rows is None:
+                self._roll(None, self._inputs, self._states, self._sensors)
+            elif len(rows):  # in copies of their rows
+                states, sensors = self._states[rows], self._sensors[rows]
+                self._roll(rows, self._inputs[rows], states, sensors)
+                self._states[rows], self._sensors[rows] = states, sensors
+        except SimulationError as error:  # the others ran to the end
+            failed[error.ids] = True
+        passed = self._state[:, 0] - before  # less where MuJoCo gave up
+        late = (passed - self.substeps * self.model.opt.timestep).abs() > 1e-9
+        if rows is not None:
+            late &= torch.zeros_like(late).index_fill(0, torch.from_numpy(rows).long(), True)
+        good = sound(self._state.numpy()) & sound(self._sensors[:, -1].numpy())
+        self.diverged = late | failed | ~torch.from_numpy(good)
         return self._sensors
 
     def step_only(self, rows: Tensor | None) -> None:
@@ -173,7 +131,7 @@ class Simulation:
 
         The others keep their state and sensor values, and cost nothing.
         """
-        self._stepped = None if rows is None else rows.nonzero()[:, 0]
+        self._stepped = None if rows is None else rows.numpy().nonzero()[0].astype(np.int32)
 
     def reset(self, rows: Tensor, qpos: Tensor, qvel: Tensor, control: Tensor) -> Tensor:
         """Puts the worlds in ``rows`` ``(N,)`` bool into a new state.
@@ -189,9 +147,14 @@ class Simulation:
         """
         self.diverged = self.diverged & ~rows
         index = rows.nonzero()[:, 0]
-        state = self._full_state(qpos, qvel)
-        self._state[index], self._states[index] = state, state[:, None]
-        self._sensors[index] = self._sensors_of(qpos, qvel, control, index)[:, None]
+        if not len(index):
+            return self._sensors
+        self._all[index] = 0.0
+        self.qpos[index], self.qvel[index] = qpos.double(), qvel.double()
+        self._control[index] = control.double()
+        self._batch.forward(rows.numpy())
+        self._states[index] = self._state[index][:, None]
+        self._sensors[index] = torch.from_numpy(self._now[rows.numpy()])[:, None]
         return self._sensors
 
     def set_fields(self, rows: Tensor, fields: dict[str, NDArray[np.float64]]) -> None:
@@ -206,83 +169,80 @@ class Simulation:
         """
         if not fields:
             return
-        if self._models[0] is self.model:
-            self._models = [copy.copy(self.model) for _ in self._models]
-        self._changed |= fields.keys()
-        derive = not _CONSTANTS.isdisjoint(fields)
-        changed = [self._models[row] for row in rows.nonzero()[:, 0].tolist()]
-        for k, model in enumerate(changed):
-            for name, value in fields.items():
-                getattr(self._owner(model, name), name)[:] = value[k]
-            if derive:
-                mujoco.mj_setConst(model, self._data[0])
+        if not self._fields:  # from here on with fields of its own
+            state = self._all.clone()
+            self._begin()
+            self._all.copy_(state)
+        which = rows.numpy()
+        for name, value in fields.items():
+            if name not in self._fields:
+                field = "opt.gravity" if name == "gravity" else name
+                self._fields[name] = self._batch.expand(field)
+            self._fields[name][which] = value
+        if not _CONSTANTS.isdisjoint(fields):
+            self._batch.set_const(which)
 
     def model_of(self, world: int) -> mujoco.MjModel:
-        """The model of a world, with the fields that are its own."""
-        return self._models[world]
+        """A copy of the model, with the fields of a world."""
+        return self._batch.get_model(world)
 
     def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Positions ``(K, n, 3)`` [m] and rotation matrices ``(K, n, 3, 3)`` of n sites.
 
         Args:
-            qpos: any states ``(K, nq)`` float64.
+            qpos: any states ``(K, nq)`` float64, not more than there are worlds.
             sites: numbers of the sites in the model.
         """
-        return site_poses(self.model, self._data[0], qpos, sites)
-
-    def _sensors_of(self, qpos: Tensor, qvel: Tensor, control: Tensor, index: Tensor) -> Tensor:
-        """Sensor values ``(K, nsensordata)`` of new states of the worlds in ``index``."""
-        # A loop, for these are few rows between two steps: threads would take longer to wake up.
-        data = self._data[0]
-        sensors = torch.empty(len(qpos), self.model.nsensordata, dtype=torch.float64)
-        data.time, data.xfrc_applied[:] = 0.0, 0.0
-        arrays = (data.qpos, data.qvel, data.ctrl, data.qacc_warmstart, data.sensordata)
-        place_of, speed_of, target_of, start_of, read = arrays  # MuJoCo makes a view each time
-        states = zip(qpos.numpy(), qvel.numpy(), control.numpy(), sensors.numpy(), strict=True)
-        for row, (position, velocity, target, values) in zip(index.tolist(), states, strict=True):
-            place_of[:], speed_of[:], target_of[:] = position, velocity, target
-            start_of[:] = 0.0
-            mujoco.mj_forward(self._models[row], data)
-            values[:] = read
-        return sensors
-
-    def _full_state(self, qpos: Tensor, qvel: Tensor) -> Tensor:
-        state = torch.zeros(len(qpos), self._state.shape[1], dtype=torch.float64)
-        end = 1 + self.model.nq
-        state[:, 1:end] = qpos
-        state[:, end : end + self.model.nv] = qvel
-        return state
+        count, index = len(qpos), np.asarray(sites)
+        self._poses.qpos[:count] = qpos.numpy()
+        places, axes = self._poses.site_xpos, self._poses.site_xmat
+        self._poses.forward(np.arange(count), int(mujoco.mjtStage.mjSTAGE_POS))
+        position = torch.from_numpy(places[:count, index])
+        rotation = torch.from_numpy(axes[:count, index])
+        return position, rotation.unflatten(-1, (3, 3))
 
     def _roll(
         self,
-        models: list[mujoco.MjModel],
-        state: Tensor,
+        rows: NDArray[np.int32] | None,
         inputs: Tensor,
         states: Tensor,
         sensors: Tensor,
     ) -> None:
-        arrays = (state.numpy(), inputs.numpy())
+        """Takes the steps of some worlds, or of all; writes what they gave ``(K, S, ...)``."""
         with others_turn():  # most of it without Python's lock
-            self._pool.rollout(
-                models,
-                self._data,
-                *arrays,
-                control_spec=_INPUT,
-                skip_checks=True,
-                chunk_size=max(1, len(state) // (CHUNKS * self.threads)),
-                nstep=inputs.shape[1],
-                state=states.numpy(),
-                sensordata=sensors.numpy(),
+            self._batch.rollout(
+                inputs.shape[1],
+                inputs.numpy(),
+                _INPUT,
+                record=(_STATE, "sensordata"),
+                ids=rows,
+                out={_STATE: states.numpy(), "sensordata": sensors.numpy()},
             )
 
-    def _roll_some(self, rows: Tensor) -> None:
-        """Steps a few worlds, in copies of their rows."""
-        if not len(rows):
-            return
-        states, sensors = self._states[rows], self._sensors[rows]
-        models = [self._models[row] for row in rows.tolist()]
-        self._roll(models, self._state[rows], self._inputs[rows], states, sensors)
-        self._states[rows], self._sensors[rows] = states, sensors
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickles: all but the batch and its views."""
+        made = ("_batch", "_poses", "_all", "_state", "_warm_start", "_control", "_now")
+        views = (*made, "qpos", "qvel", "wrench")
+        kept = {key: value for key, value in self.__dict__.items() if key not in views}
+        fields = {name: value.copy() for name, value in self._fields.items()}
+        return kept | {"_fields": fields, "whole": self._all.numpy().copy()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        whole, fields = state.pop("whole"), state.pop("_fields")
+        self.__dict__.update(state, _fields={})
+        self._begin()
+        if fields:
+            self.set_fields(torch.ones(self.num_worlds, dtype=torch.bool), fields)
+        else:
+            self._batch.set_models(self.model)
+        self._all.numpy()[:] = whole
+        begin_again_in_forks(self)
+
+    def begin_again(self) -> list[Any]:
+        """In a forked process: the same with new threads; returns what must not be freed there."""
+        lost = [self._batch._b]
+        self.__setstate__(self.__getstate__())
+        return lost
 
     def state_dict(self) -> dict[str, Tensor]:
         """Everything that ``step`` depends on."""

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from zfall.robots import ZEROTH01, Robot
 from zfall.simulation.compiled import sound
-from zfall.simulation.cpu import site_poses
 
 Array = NDArray[np.float64]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -195,7 +194,11 @@ class PhysicsSimulation:
 
     def site_poses(self, qpos: Tensor, sites: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Positions and rotations of sites; see ``Simulation.site_poses``."""
-        return site_poses(self.model, mujoco.MjData(self.model), qpos, sites)
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = qpos[0]
+        mujoco.mj_kinematics(self.model, data)
+        position, rotation = data.site_xpos[list(sites)], data.site_xmat[list(sites)]
+        return torch.from_numpy(position)[None], torch.from_numpy(rotation).reshape(1, -1, 3, 3)
 
     def _forward(self, data: mujoco.MjData, qpos: Tensor, qvel: Tensor, control: Tensor) -> None:
         mujoco.mj_resetData(self.model, data)
