@@ -100,36 +100,34 @@ def test_a_baseline_meets_the_first_policy_in_whose_world_it_can_act():
 def test_a_policy_is_taken_as_it_is_or_by_its_name():
     given, named = load_candidate(zfall.load_policy("best")), load_candidate("best")
     battery = load_battery("planar", starts=1)
-    conditions = [each.conditions(battery, seed=0, num_envs=64) for each in (given, named)]
+    conditions = [each.conditions(battery, seed=0) for each in (given, named)]
     assert conditions[0] == conditions[1]
     with pytest.raises(ValueError, match="run .*pose_hold, limp, .*best.*nowhere"):
         load_candidate("nowhere")
 
 
 def test_trials_are_read_under_the_same_conditions_alone(tmp_path, compose_config):
-    """Another seed, another number of the battery, another world; worlds count with noise only."""
+    """Another seed, another number of the battery, another world."""
     battery, cfg = load_battery("planar", starts=1), compose_config("num_envs=2").env
     plain = Candidate("pose_hold", cfg, None)
     noisy = plain.keep(["noise"])
     trials = pd.DataFrame({"trial": [0, 1], "recovered": [True, False]})
     path = tmp_path / "trials.csv"
 
-    def conditions(candidate=plain, battery=battery, seed=0, num_envs=64):
-        return candidate.conditions(battery, seed=seed, num_envs=num_envs)
+    def conditions(candidate=plain, battery=battery, seed=0):
+        return candidate.conditions(battery, seed=seed)
 
     write_trials(path, trials, conditions())
     assert read_trials(path, conditions()).equals(trials)
-    assert read_trials(path, conditions(num_envs=128)).equals(trials)
     others = [{"seed": 1}, {"battery": load_battery("planar", starts=2)}, {"candidate": noisy}]
     assert all(read_trials(path, conditions(**other)) is None for other in others)
-    assert conditions(noisy) != conditions(noisy, num_envs=128)
 
 
 def test_trials_are_read_by_a_version_with_more_keys(tmp_path, compose_config, monkeypatch):
     """A key of the env and one of the battery, each with a line in the table."""
     battery = load_battery("planar", starts=1)
     stored = Candidate("pose_hold", compose_config("num_envs=2").env, None)
-    conditions = stored.conditions(battery, seed=0, num_envs=64)
+    conditions = stored.conditions(battery, seed=0)
     older = json.loads(json.dumps(conditions))
     del older["config"]["env"]["base_env"]["physics_dt"]
     del older["config"]["battery"]["planar"]["max_tilt"]

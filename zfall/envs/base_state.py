@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from zfall.envs.streams import Streams
 from zfall.simulation.cpu import Simulation
 from zfall.simulation.model import identity_of
 
@@ -17,18 +18,22 @@ def made_for(env: Any) -> dict[str, Any]:
     }
 
 
-def check_made_for(state: Mapping[str, Any], here: Mapping[str, Any], sim: Simulation) -> None:
+def check_made_for(
+    state: Mapping[str, Any], here: Mapping[str, Any], sim: Simulation, streams: Streams
+) -> None:
     """Refuses the state of another env.
 
     Args:
         state: of a base env, from before ``made_for`` was in it, perhaps.
         here: what this env is made for.
         sim: of this env.
+        streams: of this env.
 
     Raises:
         ValueError: naming the first difference.
     """
-    if not {"simulation", "parameters", "rng"} <= state.keys():
+    drawn_by = {"streams", "rng"} & state.keys()  # rng: one generator for all worlds, of old
+    if not {"simulation", "parameters"} <= state.keys() or not drawn_by:
         raise ValueError(
             "an env's state must be what env.state_dict() gives, "
             f"got {', '.join(map(str, state)) or 'nothing'}."
@@ -48,3 +53,5 @@ def check_made_for(state: Mapping[str, Any], here: Mapping[str, Any], sim: Simul
                 "an env's state must be of as many worlds and of the same robot, ball and push "
                 f"points, {key} {tuple(value.shape)}, got {tuple(given.shape)}."
             )
+    if "streams" in state:
+        streams.check_state(state["streams"])

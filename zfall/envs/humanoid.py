@@ -19,6 +19,7 @@ from zfall.envs.forces import StepForces
 from zfall.envs.observer import Observed, Observer, copies, with_flags
 from zfall.envs.placing import Placing, start_of
 from zfall.envs.rendering import Camera
+from zfall.envs.streams import Streams
 from zfall.robots import ZEROTH01, Ball, PushPoint, Robot
 from zfall.robots.servos import Servo
 from zfall.simulation.compiled import sound
@@ -112,7 +113,7 @@ class HumanoidEnv(EnvBase):
         self.num_bodies = model.nbody - 1
         self.mass = float(model.body_mass.sum()) - (ball.mass if ball else 0.0)
         self.parameters = PhysicsParameters(model, robot, num_envs, servos)
-        self.rng = torch.Generator()
+        self.streams = Streams(num_envs)
         ranges = [model.joint(name).range for name in robot.joints]
         self.joint_range = torch.from_numpy(np.stack(ranges)).float()
         self.stand_position = torch.tensor(robot.stand_position)
@@ -258,14 +259,14 @@ class HumanoidEnv(EnvBase):
         self.simulation.set_fields(rows, fields)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.rng.manual_seed(0 if seed is None else int(seed))
+        self.streams.begin(0 if seed is None else int(seed))
 
     def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """All that the coming steps and resets depend on, enough to go on bit for bit."""
         return {
             "made_for": self._made_for,
             "simulation": self.simulation.state_dict(),
-            "rng": self.rng.get_state(),
+            "streams": self.streams.state_dict(),
             "parameters": self.parameters.state_dict(),
             "observed": copies(self._observed),
         }
@@ -279,13 +280,14 @@ class HumanoidEnv(EnvBase):
         self.check_state(state_dict)
         self.set_physics_params(TensorDict(state_dict["parameters"]))
         self.simulation.load_state_dict(state_dict["simulation"])
-        self.rng.set_state(state_dict["rng"])
+        if "streams" in state_dict:  # else it is from before, see ``zfall.training``
+            self.streams.load_state_dict(state_dict["streams"])
         self._observed = copies(state_dict.get("observed"))
         self._repeats.forget()
 
     def check_state(self, state: Mapping[str, Any]) -> None:
         """Raises ``ValueError`` unless ``load_state_dict`` can restore a state."""
-        check_made_for(state, self._made_for, self.simulation)
+        check_made_for(state, self._made_for, self.simulation, self.streams)
 
     def render(self, height: int = 480, width: int = 640) -> NDArray[np.uint8]:
         """Pictures of all worlds by the camera ``track`` ``(N, height, width, 3)``.

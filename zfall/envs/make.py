@@ -12,6 +12,7 @@ from zfall.configs import plain_containers
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.table_env import DropSubsteps, Table, TableEnv
 from zfall.envs.transforms.actions.commands import check_order
+from zfall.envs.transforms.base_env import name_streams
 from zfall.errors import named
 from zfall.static_checks import check_nodes
 
@@ -56,7 +57,8 @@ def make_env(
     ordered = _in_place({k: v for k, v in transforms.items() if v is not None})
     used = {k: v for k, v in ordered.items() if training or k not in training_only}
     built = {name: build_transform(t, env, f"transforms.{name}") for name, t in used.items()}
-    for transform in built.values():
+    for name, transform in built.items():
+        name_streams(name, transform)
         if hasattr(transform, "attach"):
             transform.attach(built)
     check_order((f"transforms.{name}", transform) for name, transform in built.items())

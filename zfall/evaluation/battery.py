@@ -155,6 +155,18 @@ def arrange(
     push.time[:, events:] = torch.inf
 
 
+def begin_streams(env: HumanoidEnv, seed: int, trials: pd.Series) -> None:
+    """Gives every world the random numbers of its trial, for noise and delays that are kept on.
+
+    Args:
+        env: the base env.
+        seed: of the battery.
+        trials: number of the trial of each world ``(N,)``.
+    """
+    own = np.random.SeedSequence([seed, 3]).generate_state(1, np.uint64)  # unlike a training's
+    env.streams.begin(int(own[0]), trials.to_numpy(dtype=np.int64))
+
+
 def run_battery(
     battery: Battery,
     cfg: DictConfig,
@@ -173,8 +185,8 @@ def run_battery(
     """Runs all trials; returns them with their outcomes.
 
     Trials are independent of each other and of how many run together: a few of them alone come
-    out the same; unless noise or delays are kept on, which are drawn for a chunk of trials. A world
-    whose outcome is known is not stepped any more.
+    out the same, also with noise and delays. A world whose outcome is known is not stepped any
+    more.
 
     Args:
         battery: the definition.
@@ -211,8 +223,7 @@ def run_battery(
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
         arrange(battery, padded, pushes[padded.index.to_numpy()], base, start, push)
-        drawn_by = np.random.SeedSequence([seed, int(chunk["trial"].iloc[0])])
-        env.set_seed(int(drawn_by.generate_state(1)[0]))  # of noise and delays that are kept on
+        begin_streams(base, seed, padded["trial"])
         params = trial_parameters(battery, padded, base)
         if params:
             base.set_physics_params(TensorDict(params, batch_size=[worlds]))

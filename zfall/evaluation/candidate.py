@@ -72,7 +72,7 @@ class Candidate:
             raise ValueError(f"keep must not name {name}: a battery has its own starts and pushes.")
         return replace(self, env_cfg=tables.keep(self.env_cfg, names), kept=tuple(names))
 
-    def conditions(self, battery: Battery, *, seed: int, num_envs: int) -> dict[str, Any]:
+    def conditions(self, battery: Battery, *, seed: int) -> dict[str, Any]:
         """All that the outcomes follow from: results under the same conditions are the same."""
         config: dict[str, Any] = strict(
             {
@@ -80,7 +80,7 @@ class Candidate:
                 "battery": {battery.name: asdict(battery)},
             }
         )
-        conditions = {
+        return {
             "baseline": self.name if self.actor is None else None,
             "weights": weights_digest(self.actor),
             "seed": seed,
@@ -89,9 +89,6 @@ class Candidate:
             "config": config,
             "contents": contents_of(config),
         }
-        if self.kept:  # noise and delays are drawn for all worlds that run together
-            conditions["num_envs"] = num_envs
-        return conditions
 
 
 def load_candidate(

@@ -57,8 +57,7 @@ def evaluate(
         policy: what ``zfall.load_policy`` gives, the name of one, a run folder, or a baseline.
         battery: its name, or what ``load_battery`` gives.
         seed: of the battery.
-        num_envs: worlds that run together, at most; changes no outcome
-            unless noise or delays are kept on.
+        num_envs: worlds that run together, at most; changes no outcome.
         checkpoint: of a run folder, ``last`` or ``best``.
         env: of a baseline, config or name; ``None``: that of the battery's kind.
         change: values of the env to replace, ``["transforms.action.scale=0.5"]``.
@@ -189,7 +188,7 @@ def run_or_read(
         console: to print on.
         read: whether results that are there already under the same conditions are read.
     """
-    conditions = candidate.conditions(battery, seed=seed, num_envs=num_envs)
+    conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:
         console.print(f"{battery.name} of {candidate.name}: read from {folder}/trials.csv")
         return result_of(battery, candidate.label, candidate.robot, done)

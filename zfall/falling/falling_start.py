@@ -11,7 +11,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.values import per_world, reset_rows
 from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS, load_bank
 from zfall.falling.files import own_file
@@ -127,12 +127,13 @@ class FallingStart(Transform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
-        # All rows are drawn, so that the random stream does not depend on who fell.
-        count = -(-self.num_envs // self.alike)
-        row = torch.randint(len(self.table), (count,), generator=base_env_of(self).rng)
-        chance = torch.rand(count, 1, generator=base_env_of(self).rng)
-        siblings = torch.arange(self.num_envs) // self.alike
-        row, chance = row[siblings], chance[siblings]
+        # The first of the worlds that begin alike draws for all of them.
+        worlds = torch.arange(self.num_envs)
+        first = worlds - worlds % self.alike
+        rows = torch.zeros(self.num_envs, dtype=torch.bool)
+        rows[first[reset_rows(tensordict)]] = True
+        row = streams_of(self).integers(len(self.table), (), rows)[first]
+        chance = streams_of(self).uniform((1,), rows)[first]
         falls = chance < per_world(self.share, 2)
         drawn = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
         values = dict(zip(self.sizes, drawn, strict=True))

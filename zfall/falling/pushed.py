@@ -10,7 +10,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.tables import robot_of
-from zfall.evaluation.battery import BLOCK, arrange, battery_env
+from zfall.evaluation.battery import BLOCK, arrange, battery_env, begin_streams
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials
 from zfall.modules.actors import recurrent_keys
@@ -60,9 +60,9 @@ def pushed_worlds(
     env, begin, push = battery_env(battery, env_cfg, worlds, servos=servos)
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
-    env.set_seed(seed)  # of noise and delays that are kept on
     base = env.base_env
     rows = np.arange(worlds).clip(max=len(trials) - 1)
+    begin_streams(base, seed, trials["trial"].iloc[rows])
     pushes = plan_pushes(battery, trials).sooner(base.control_dt, base.physics_dt, seed)[rows]
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     return PushedWorlds(env, trials, rows, pushes)

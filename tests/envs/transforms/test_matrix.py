@@ -26,6 +26,7 @@ import zfall
 from tests.envs.transforms.table import OF_TARGET, TABLE, TARGETS, build_base, choose
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import build_transform, make_env
+from zfall.envs.transforms.base_env import name_streams
 from zfall.envs.transforms.starts import ScriptedStart
 
 DATA, STEPS, PHYSICS = "data", "steps", "physics"  # what a transform works on
@@ -111,11 +112,15 @@ def alone_in_an_env(row: Row) -> None:
 
 
 def in_a_compose(row: Row) -> None:
-    """As a user of TorchRL writes it, commands and starts from last to first; the same bits."""
+    """As a user of TorchRL writes it, commands and starts from last to first; the same bits.
+
+    Each under the name that it has in the table, which its random numbers come by.
+    """
     expected = run(row.env())
     base = build_base(num_envs=2)
     table = row.all(base)
-    for transform in table.values():
+    for name, transform in table.items():
+        name_streams(name, transform)
         if hasattr(transform, "attach"):
             transform.attach(table)
     inverse = [t for t in table.values() if t.in_keys_inv]

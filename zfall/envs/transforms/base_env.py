@@ -11,10 +11,12 @@ from typing import Any, NoReturn
 
 import torch
 from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.streams import Stream
 
 
 def needs_env(transform: Transform, env: EnvBase, needs: str) -> None:
@@ -76,9 +78,41 @@ def check_recorded(transform: Transform, spec: Composite, keys: Iterable[NestedK
         )
 
 
-def generator_of(transform: Transform) -> torch.Generator | None:
-    """Of its env, if a transform was built with one; else ``None``, for torch's global one."""
-    return base_env_of(transform).rng if "_built_with" in transform.__dict__ else None
+def streams_of(transform: Transform) -> Stream:
+    """Where a transform draws its random numbers: one stream for each world of its env.
+
+    They are those of the name that it has in a table of ``make_env``, else of its class.
+    """
+    purpose = transform.__dict__.get("_purpose", type(transform).__name__)
+    return base_env_of(transform).streams.of(purpose)
+
+
+def name_streams(name: str, transform: Transform) -> None:
+    """Gives a transform, and those in it, random numbers of their own by its name in a table."""
+    for place, part in transform.named_modules():
+        part.__dict__["_purpose"] = f"{name}.{place}".rstrip(".")
+
+
+def normal_for(transform: Transform, value: Tensor, rows: Tensor | None = None) -> Tensor:
+    """Numbers from N(0, 1) of the shape of a value ``(N, ...)``, which an env may have made or not.
+
+    By torch's global generator if the transform was built without an env.
+
+    Args:
+        transform: that draws.
+        value: of which only the shape is used.
+        rows: the worlds that draw; all if ``None``.
+    """
+    if "_built_with" in transform.__dict__:
+        return streams_of(transform).normal(value.shape[1:], rows)
+    return torch.randn(value.shape)
+
+
+def uniform_for(transform: Transform, value: Tensor, rows: Tensor | None = None) -> Tensor:
+    """Uniform numbers in [0, 1), arguments as in ``normal_for``."""
+    if "_built_with" in transform.__dict__:
+        return streams_of(transform).uniform(value.shape[1:], rows)
+    return torch.rand(value.shape)
 
 
 def on_data(transform: Transform, tensordict: TensorDictBase) -> TensorDictBase:

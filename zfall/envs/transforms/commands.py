@@ -10,7 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.pushes.draws import between, check_range
 from zfall.envs.transforms.values import reset_rows
 from zfall.values import Bounds, Times
@@ -93,9 +93,7 @@ class Command(Transform):
 
     def _draw(self, rows: Tensor) -> None:
         """New commands for the worlds in ``rows`` ``(N,)`` bool."""
-        u = torch.rand(
-            len(self.ranges) + 1, len(rows), generator=base_env_of(self).rng
-        )  # all: one stream
+        u = streams_of(self).uniform((len(self.ranges) + 1,), rows).T
         for value, (name, bounds) in zip(u, self.ranges.items(), strict=False):
             entry = self.command[:, ENTRIES.index(name)]
             entry.copy_(torch.where(rows, between(bounds, value), entry))

@@ -9,7 +9,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.values import reset_rows
 from zfall.values import FractionBelowOne
 
@@ -46,7 +46,7 @@ class CorrelatedNoise(Transform):
         self.register_buffer("noise", torch.zeros(env.num_envs, len(env.stand_position)))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        fresh = torch.randn(self.noise.shape, generator=base_env_of(self).rng)
+        fresh = streams_of(self).normal(self.noise.shape[1:])
         rest = math.sqrt(1.0 - self.correlation**2)
         self.noise = self.correlation * self.noise + rest * fresh
         return next_tensordict.set("exploration_noise", self.noise)
@@ -54,9 +54,9 @@ class CorrelatedNoise(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        # All rows are drawn, so that the random stream does not depend on who fell.
-        fresh = torch.randn(self.noise.shape, generator=base_env_of(self).rng)
-        self.noise = torch.where(reset_rows(tensordict, self)[:, None], fresh, self.noise)
+        rows = reset_rows(tensordict, self)
+        fresh = streams_of(self).normal(self.noise.shape[1:], rows)
+        self.noise = torch.where(rows[:, None], fresh, self.noise)
         return tensordict_reset.set("exploration_noise", self.noise)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from zfall.envs.streams import Stream
 from zfall.envs.transforms.values import per_world, two_numbers
 
 
@@ -49,20 +50,25 @@ class Lags:
         return substeps * math.ceil((self.longest + more) / substeps)
 
     def draw(
-        self, delay: Sequence[float] | Tensor, shape: tuple[int, ...], rng: torch.Generator
+        self,
+        delay: Sequence[float] | Tensor,
+        shape: tuple[int, ...],
+        stream: Stream,
+        rows: Tensor | None = None,
     ) -> Tensor:
         """Lags of ``shape`` ``(N,)`` or ``(N, J)`` [physics steps].
 
         Args:
             delay: bounds [s], one pair for all worlds or ``(2, N)``.
             shape: that of the result.
-            rng: where random numbers come from.
+            stream: where random numbers come from.
+            rows: the worlds that draw, the others get the shortest; all if ``None``.
 
         Raises:
             ValueError: if a delay lies outside [0, max_delay].
         """
         low, high = (per_world(bound, len(shape)) for bound in delay)
-        seconds = low + (high - low) * torch.rand(shape, generator=rng)
+        seconds = low + (high - low) * stream.uniform(shape[1:], rows)
         lag = torch.round(seconds / self.physics_dt).long()
         least, most = (float(bound) for bound in seconds.aminmax())
         if least < 0 or most > self.max_delay + 1e-6:  # float32

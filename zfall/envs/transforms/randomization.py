@@ -10,7 +10,8 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env, on_data
+from zfall.envs.streams import Stream
+from zfall.envs.transforms.base_env import base_env_of, needs_env, on_data, streams_of
 from zfall.envs.transforms.values import per_world, reset_rows, two_numbers
 from zfall.rotations import rotate
 from zfall.simulation.parameters import ANY_NUMBER
@@ -79,7 +80,6 @@ class DomainRandomization(Transform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         base_env_of(self)
         if self.interval is not None:
-            # Drawn for all rows in every step, so that the stream does not depend on who fell.
             self._draw(self.clock > self.interval - 0.5 * self.control_dt)
             self.clock = self.clock + self.control_dt
         return tensordict
@@ -97,7 +97,11 @@ class DomainRandomization(Transform):
         env = base_env_of(self)
         drawn = {
             name: draw(
-                distribution, self.spec[name].shape, env.rng, self.ranges.get(name, ANY_NUMBER)
+                distribution,
+                self.spec[name].shape[1],
+                streams_of(self),
+                rows,
+                self.ranges.get(name, ANY_NUMBER),
             )
             for name, distribution in self.params.items()
         }
@@ -114,23 +118,24 @@ class DomainRandomization(Transform):
 
 def draw(
     distribution: Mapping[str, Any],
-    shape: torch.Size,
-    rng: torch.Generator,
+    size: int,
+    stream: Stream,
+    rows: Tensor,
     bounds: tuple[float, float] = ANY_NUMBER,
 ) -> Tensor:
     """Values ``(N, size)`` from a distribution as in ``DomainRandomization``.
 
-    Those of a normal one are cut to ``bounds``.
+    Those of a normal one are cut to ``bounds``. What is not in ``rows`` ``(N,)`` means nothing.
     """
     (kind,) = (kind for kind in _KINDS if kind in distribution)
-    width = 1 if distribution.get("shared", False) else shape[1]
+    width = 1 if distribution.get("shared", False) else size
     # Bounds may be one pair for all worlds or, from a curriculum, a pair for each (2, N).
     first, second = (per_world(x, 2) for x in distribution[kind])
     if kind == "normal":
-        values = first + second * torch.randn(shape[0], width, generator=rng)
+        values = first + second * stream.normal((width,), rows)
         values = values.clamp(*bounds)
     else:
-        u = torch.rand(shape[0], width, generator=rng)
+        u = stream.uniform((width,), rows)
         if kind == "uniform":
             values = u.mul_(second - first).add_(first)
         else:
@@ -139,7 +144,7 @@ def draw(
     if clip is not None:
         low, high = (torch.as_tensor(per_world(x, 2)) for x in clip)
         values = torch.clamp(values, low, high)
-    return values.float().expand(shape)
+    return values.float().expand(len(rows), size)
 
 
 def _check(name: str, distribution: Mapping[str, Any], bounds: tuple[float, float]) -> None:
@@ -256,7 +261,7 @@ class ImuMisalignment(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict, self)
-        u = 2.0 * torch.rand(len(rows), 3, generator=base_env_of(self).rng) - 1.0
+        u = 2.0 * streams_of(self).uniform((3,), rows) - 1.0
         angle = torch.as_tensor(self.angle).reshape(-1, 1)
         self.rotation = torch.where(rows[:, None], angle * u, self.rotation)
         return self._call(tensordict_reset)

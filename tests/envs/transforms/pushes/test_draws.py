@@ -8,6 +8,7 @@ import torch
 from scipy.stats import expon, kstest
 from scipy.stats import uniform as uniform_law
 
+from zfall.envs.streams import Streams
 from zfall.envs.transforms.pushes.draws import Timing, between, heading, of_worlds, uniform
 
 
@@ -63,9 +64,9 @@ def test_times_are_those_of_the_worlds_that_need_one():
 
 def test_numbers_of_a_world_do_not_depend_on_which_others_need_some():
     rows = torch.tensor([False, True, True, False, True])
-    index, u = uniform(3, rows, torch.Generator().manual_seed(4))
+    index, u = uniform(3, rows, Streams(5).of("push"))
     assert index.tolist() == [1, 2, 4]
-    everyone = uniform(3, torch.ones(5, dtype=torch.bool), torch.Generator().manual_seed(4))[1]
+    everyone = uniform(3, torch.ones(5, dtype=torch.bool), Streams(5).of("push"))[1]
     assert (u == everyone[:, index]).all()
     assert ((u >= 0) & (u < 1)).all()
     assert len(set(everyone.flatten().tolist())) == 15

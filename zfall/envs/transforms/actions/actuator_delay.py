@@ -9,7 +9,7 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.actions.commands import read_commands, targets_before
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import needs_env, streams_of
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.values import reset_rows
 from zfall.values import NotNegative, NotNegativeBounds, one_of
@@ -72,7 +72,7 @@ class ActuatorDelay(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
-            self.lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
+            self.lag = self._lags.draw(self.delay, self.lag.shape, streams_of(self))
         commands, slot = read_commands(self, tensordict, self.substeps), int(self.slot)
         length, end = self.history.shape[1], slot + self.substeps
         self.history[:, slot:end] = commands
@@ -89,7 +89,7 @@ class ActuatorDelay(Transform):
     ) -> TensorDictBase:
         rows = reset_rows(tensordict, self)
         if self.per == "episode":
-            lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
+            lag = self._lags.draw(self.delay, self.lag.shape, streams_of(self), rows)
             self.lag = torch.where(rows.view(-1, *[1] * (lag.ndim - 1)), lag, self.lag)
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.history[rows] = before[rows, None]

@@ -9,7 +9,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     key_shapes,
@@ -74,10 +74,10 @@ class ObservationBias(Transform):
             old: Tensor = getattr(self, f"bias_{key}")
             new = torch.zeros_like(old)
             if key in self.std:
-                noise = torch.randn(old.shape, generator=base_env_of(self).rng)
+                noise = streams_of(self).normal(old.shape[1:], rows)
                 new += per_world(self.std[key], old.ndim) * noise
             if key in self.uniform:
-                noise = 2.0 * torch.rand(old.shape, generator=base_env_of(self).rng) - 1.0
+                noise = 2.0 * streams_of(self).uniform(old.shape[1:], rows) - 1.0
                 new += per_world(self.uniform[key], old.ndim) * noise
             mask = rows.view(-1, *[1] * (old.ndim - 1))
             setattr(self, f"bias_{key}", torch.where(mask, new, old))
@@ -120,7 +120,7 @@ class ObservationRandomWalk(Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key, rate in self.rate.items():
             walk: Tensor = getattr(self, f"walk_{key}")
-            noise = torch.randn(walk.shape, generator=base_env_of(self).rng)
+            noise = streams_of(self).normal(walk.shape[1:])
             walk = walk + per_world(rate, walk.ndim) * self.control_dt**0.5 * noise
             setattr(self, f"walk_{key}", walk)
             next_tensordict[measured_key(key)] = read_measured(next_tensordict, key) + walk

@@ -9,7 +9,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, check_recorded, needs_env
+from zfall.envs.transforms.base_env import check_recorded, needs_env, streams_of
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.observations.measured import declare_measured, measured_key
 from zfall.envs.transforms.values import reset_rows
@@ -75,7 +75,7 @@ class ObservationDelay(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         if self.per == "step":
-            self.lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
+            self.lag = self._lags.draw(self.delay, self.lag.shape, streams_of(self))
         slot = int(self.slot)
         end = slot + self.substeps
         self.history[:, slot:end] = self._read(next_tensordict)
@@ -96,7 +96,7 @@ class ObservationDelay(Transform):
     ) -> TensorDictBase:
         rows = reset_rows(tensordict, self)
         if self.per == "episode":
-            lag = self._lags.draw(self.delay, self.lag.shape, base_env_of(self).rng)
+            lag = self._lags.draw(self.delay, self.lag.shape, streams_of(self), rows)
             self.lag = torch.where(rows, lag, self.lag)
         self.history[rows] = self._read(tensordict_reset)[rows, -1:]
         return self._deliver(tensordict_reset)

@@ -7,7 +7,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     key_shapes,
@@ -45,12 +45,11 @@ class ObservationDropout(Transform):
         if not keys:
             raise ValueError("keys must name at least one quantity, got none.")
         self.probability, self.keys = probability, list(keys)
-        self.num_envs = env.num_envs
         for key, shape in key_shapes(env, "keys", keys).items():
             self.register_buffer(f"held_{key}", torch.zeros(shape))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        arrives = torch.rand(self.num_envs, generator=base_env_of(self).rng) >= self.probability
+        arrives = streams_of(self).uniform() >= self.probability
         return self._deliver(next_tensordict, arrives)
 
     def _deliver(self, tensordict: TensorDictBase, arrives: Tensor) -> TensorDictBase:

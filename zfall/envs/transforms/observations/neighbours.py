@@ -9,9 +9,14 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import generator_of, needs_env, on_data
+from zfall.envs.transforms.base_env import needs_env, normal_for, on_data
 from zfall.envs.transforms.observations.vector import vector_spans
-from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
+from zfall.envs.transforms.values import (
+    NOT_NEGATIVE,
+    check_not_negative,
+    per_world,
+    reset_rows,
+)
 from zfall.values import Keys, NotNegative
 
 
@@ -26,8 +31,8 @@ class CAPSNeighbours(Transform):
     Keys: reads ``observation`` ``(N, D)``, writes ``observation_neighbour`` ``(N, D)``.
 
     Args:
-        env: the base env, whose generator draws; ``None``, as a replay buffer needs it, for
-            torch's global one.
+        env: the base env, whose streams give the random numbers; ``None``, as a replay buffer
+            needs it, for torch's global generator.
         sigma: standard deviation of every component, in the observation's own units; or by name
             of a quantity, which leaves the others as they are.
         keys: quantities of the observation in their order, for a ``sigma`` by name; they are to
@@ -65,10 +70,13 @@ class CAPSNeighbours(Transform):
         self.spans: dict[str, slice] | None = None if isinstance(sigma, Mapping) else {}
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._add(next_tensordict)
+
+    def _add(self, next_tensordict: TensorDictBase, rows: Tensor | None = None) -> TensorDictBase:
         observation: Tensor = next_tensordict["observation"]
         if self.spans is None:
             self.spans = vector_spans(next_tensordict, self.keys)
-        noise = torch.randn(observation.shape, generator=generator_of(self))
+        noise = normal_for(self, observation, rows)
         if self.spans:
             noise *= self._spread(noise, self.spans)
         else:
@@ -91,7 +99,7 @@ class CAPSNeighbours(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return self._call(tensordict_reset)
+        return self._add(tensordict_reset, reset_rows(tensordict))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         spec = observation_spec["observation"]

@@ -2,19 +2,24 @@
 
 from collections.abc import Mapping
 
-import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import generator_of, needs_env, on_data
+from zfall.envs.transforms.base_env import needs_env, normal_for, on_data, uniform_for
 from zfall.envs.transforms.observations.measured import (
     declare_measured,
     measured_key,
     read_measured,
 )
-from zfall.envs.transforms.values import NOT_NEGATIVE, check_not_negative, per_world
+from zfall.envs.transforms.values import (
+    NOT_NEGATIVE,
+    check_not_negative,
+    per_world,
+    reset_rows,
+)
 from zfall.values import NotNegative
 
 
@@ -29,8 +34,8 @@ class ObservationNoise(Transform):
     shape and unit. The true value stays where it is, for rewards and the critic.
 
     Args:
-        env: the base env, whose generator draws; ``None``, as a replay buffer needs it, for
-            torch's global one.
+        env: the base env, whose streams give the random numbers; ``None``, as a replay buffer
+            needs it, for torch's global generator.
         std: standard deviation of each key, in the key's own unit.
         uniform: largest deviation of each key, in the key's own unit.
 
@@ -59,20 +64,23 @@ class ObservationNoise(Transform):
             needs_env(self, env, "its random numbers")
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._add(next_tensordict)
+
+    def _add(self, next_tensordict: TensorDictBase, rows: Tensor | None = None) -> TensorDictBase:
         for key, std in self.std.items():
             value = read_measured(next_tensordict, key)
-            noise = torch.randn(value.shape, generator=generator_of(self))
+            noise = normal_for(self, value, rows)
             next_tensordict[measured_key(key)] = value + per_world(std, value.ndim) * noise
         for key, width in self.uniform.items():
             value = read_measured(next_tensordict, key)
-            noise = 2.0 * torch.rand(value.shape, generator=generator_of(self)) - 1.0
+            noise = 2.0 * uniform_for(self, value, rows) - 1.0
             next_tensordict[measured_key(key)] = value + per_world(width, value.ndim) * noise
         return next_tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return self._call(tensordict_reset)
+        return self._add(tensordict_reset, reset_rows(tensordict))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         declare_measured(observation_spec, "std", self.std)

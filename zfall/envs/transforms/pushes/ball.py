@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -113,7 +113,7 @@ class ThrownBall(Transform):
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
         """Plans the next throw of the worlds in ``rows``, whose last one began at ``last``."""
-        index, u = uniform(4, rows, base_env_of(self).rng)
+        index, u = uniform(4, rows, streams_of(self))
         start = self.timing.next(index, u[0], last, last, self.count)
         self.start.numpy()[index] = start.clip(0.0)
         plan = self.plan.numpy()

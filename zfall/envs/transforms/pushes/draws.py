@@ -6,10 +6,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zfall.envs.streams import Stream
 from zfall.envs.transforms.values import two_numbers
 
 
@@ -32,23 +32,22 @@ def of_worlds(value: Any, index: NDArray[np.int64]) -> Any:
 
 
 def uniform(
-    count: int, rows: Tensor, rng: torch.Generator
+    count: int, rows: Tensor, stream: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Uniform numbers for the few worlds that need some.
 
-    Numbers are drawn for all, so that those of a world do not depend on the others. What is made
-    of them takes a third of the time in NumPy, as each operation is on a few numbers.
+    What is made of them takes a third of the time in NumPy, as each operation is on a few numbers.
 
     Args:
         count: numbers per world.
         rows: which worlds ``(N,)`` bool.
-        rng: random generator.
+        stream: where they come from.
 
     Returns:
         Which worlds ``(K,)``, and their numbers ``(count, K)``.
     """
     index = rows.numpy().nonzero()[0]
-    return index, torch.rand(count, len(rows), generator=rng).numpy()[:, index]
+    return index, np.ascontiguousarray(stream.uniform((count,), rows).numpy()[index].T)
 
 
 def check_range(

@@ -10,7 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -99,7 +99,7 @@ class VelocityKick(Transform):
 
     def _draw(self, rows: Tensor, last: Tensor) -> None:
         """Plans the next kick of the worlds in ``rows``, whose last one began at ``last``."""
-        index, u = uniform(4, rows, base_env_of(self).rng)
+        index, u = uniform(4, rows, streams_of(self))
         start = self.timing.next(index, u[0], last, last, self.count)
         speed = between(of_worlds(self.velocity, index), u[1])
         self.start.numpy()[index] = start.clip(0.0)

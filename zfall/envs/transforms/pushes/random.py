@@ -12,7 +12,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.pushes.draws import (
     Timing,
     between,
@@ -173,7 +173,7 @@ class RandomPush(Transform):
             rest_from: since when they rest ``(N,)`` [s from now].
             last: when the push before began ``(N,)``, or the episode [s from now].
         """
-        index, u = uniform(7, rows, base_env_of(self).rng)
+        index, u = uniform(7, rows, streams_of(self))
         start = self.timing.next(index, u[0], rest_from, last, self.count)
         duration = between(of_worlds(self.duration, index), u[1])
         self.start.numpy()[index] = start.clip(0.0)

@@ -5,8 +5,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
-from zfall.envs.transforms.values import per_world, refuse_start, two_numbers
+from zfall.envs.transforms.base_env import needs_env, streams_of
+from zfall.envs.transforms.values import per_world, refuse_start, reset_rows, two_numbers
 from zfall.values import Bounds, NotNegative
 
 
@@ -55,14 +55,14 @@ class NoisyStart(Transform):
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
         refuse_start(self, tensordict, "base_orientation")
-        # All rows are drawn, so that the random stream does not depend on who fell.
-        noise = torch.randn(2, self.num_envs, len(self.stand), generator=base_env_of(self).rng)
+        rows = reset_rows(tensordict)
+        noise = streams_of(self).normal((2, len(self.stand)), rows)
         low, high = self.range.unbind(-1)
-        angle = self.stand + per_world(self.joint_position, 2) * noise[0]
+        angle = self.stand + per_world(self.joint_position, 2) * noise[:, 0]
         tensordict["start", "joint_position"] = torch.clamp(angle, low, high)
-        tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[1]
+        tensordict["start", "joint_velocity"] = per_world(self.joint_velocity, 2) * noise[:, 1]
         if self.clearance is not None:
             least, most = (per_world(bound, 2) for bound in self.clearance)
-            u = torch.rand(self.num_envs, 1, generator=base_env_of(self).rng)
+            u = streams_of(self).uniform((1,), rows)
             tensordict["start", "clearance"] = torch.clamp_min(least + (most - least) * u, 0.0)
         return tensordict

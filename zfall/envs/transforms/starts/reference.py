@@ -7,8 +7,8 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.transforms.base_env import base_env_of, needs_env
-from zfall.envs.transforms.values import per_world, refuse_start
+from zfall.envs.transforms.base_env import needs_env, streams_of
+from zfall.envs.transforms.values import per_world, refuse_start, reset_rows
 from zfall.fingerprints import reads_files
 from zfall.motions.library import load_motions, motions_file
 from zfall.rotations import rotate, turned
@@ -84,20 +84,20 @@ class ReferenceStart(Transform):
         if tensordict is None:
             tensordict = TensorDict(batch_size=[self.num_envs])
         refuse_start(self, tensordict, "base_position")
-        # All rows are drawn, so that the random stream does not depend on who fell.
-        motion = torch.randint(len(self.count), (self.num_envs,), generator=base_env_of(self).rng)
-        phase, angle = torch.rand(2, self.num_envs, generator=base_env_of(self).rng)
+        rows, stream = reset_rows(tensordict), streams_of(self)
+        motion = stream.integers(len(self.count), (), rows)
+        phase, angle = stream.uniform((2,), rows).unbind(-1)
         row = self.first[motion] + (phase * self.count[motion]).long()
         values = self.table.index_select(0, row).split(list(self.sizes.values()), -1)
         start = dict(zip(self.sizes, values, strict=True))
         if self.heading:
             _turn(start, 2.0 * torch.pi * angle)
         joints = start["joint_position"]
-        noise = torch.randn(2, *joints.shape, generator=base_env_of(self).rng)
+        noise = stream.normal((2, joints.shape[-1]), rows)
         low, high = self.range.unbind(-1)
-        joints = joints + per_world(self.joint_position, 2) * noise[0]
+        joints = joints + per_world(self.joint_position, 2) * noise[:, 0]
         start["joint_position"] = torch.clamp(joints, low, high)
-        start["joint_velocity"] += per_world(self.joint_velocity, 2) * noise[1]
+        start["joint_velocity"] += per_world(self.joint_velocity, 2) * noise[:, 1]
         for name, value in start.items():
             tensordict["start", name] = value
         return tensordict
