@@ -6,6 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from zfall.envs.tables import keep
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import battery_env, play, run_battery, trial_parameters
 from zfall.evaluation.definitions import load_battery
@@ -101,6 +102,33 @@ def test_trials_do_not_depend_on_the_number_of_worlds(compose_config):
     narrow, wide = (run_battery(battery, cfg.env, policy, num_envs=n) for n in (64, 128))
     assert len(wide) > 64
     pd.testing.assert_frame_equal(narrow, wide)
+
+
+def test_trials_with_noise_and_delays_do_not_depend_on_their_company(compose_config):
+    """All at once, in two chunks of 64, and one of the second chunk alone, with two threads."""
+    plain = compose_config("num_envs=64", "env=push_recovery_realistic").env
+    names = [
+        "delay",
+        "randomization",
+        "late",
+        "zero",
+        "imu",
+        "bias",
+        "drift",
+        "noise",
+        "bits",
+        "lost",
+    ]
+    cfg = keep(plain, names)
+    battery = load_battery("planar", **(SMALL | {"starts": 6, "push_time": 0.2, "end_time": 0.6}))
+    wide, narrow = (run_battery(battery, cfg, None, num_envs=n) for n in (128, 64))
+    assert len(wide) > 64
+    pd.testing.assert_frame_equal(narrow, wide)
+    torch.set_num_threads(2)
+    alone = run_battery(battery, cfg, None, only=[70])
+    pd.testing.assert_frame_equal(alone, wide[70:71].reset_index(drop=True))
+    quiet = run_battery(battery, plain, None, only=[70])
+    assert (quiet["peak_tilt"] != alone["peak_tilt"]).all()
 
 
 @pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
