@@ -14,7 +14,7 @@ def test_unknown_battery_and_option_are_refused():
         ValueError, match="battery must be one of .*planar, planar_payload.*got 'linear'"
     ):
         load_battery("linear")
-    with pytest.raises(ValueError, match="options of battery planar are .*point.*got pont"):
+    with pytest.raises(ValueError, match="battery.pont is not a key .*did you mean point"):
         load_battery("planar", pont="torso")
 
 
@@ -96,7 +96,9 @@ def test_pushes_of_several_durations_are_not_mixed(name):
         ({"kind": "zfall.evaluation.kinds.planar.Round"}, "battery.kind .*got zfall.*Round"),
         ({"measures": ["nowhere.Effort"]}, "battery.measures .*got nowhere.Effort"),
         ({"measures": "zfall.evaluation.effort.Effort"}, "measures must be a list"),
-        ({"slope": 0.1}, "options of battery planar .*got slope"),
+        ({"slope": 0.1}, "battery.slope is not a key"),
+        ({"kind": "math"}, "battery.kind must name a class, got math"),
+        ({"end_time": {"_target_": "os.getcwd"}}, "battery.end_time must be plain"),
         ({"max_tilt": "low"}, "max_tilt .*got low"),
         ({"mass_factor": [0.8]}, "mass_factor .*a list of 2, got .*0.8"),
         ({"forces": [20, 0]}, "forces.0 .*got 20"),

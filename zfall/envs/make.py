@@ -166,13 +166,15 @@ def build_transform(
         return transform
     plain = plain_containers(transform) if isinstance(transform, DictConfig) else transform
     check_nodes(plain, place)
-    parameters = inspect.signature(get_object(transform["_target_"])).parameters
+    no_transform = f"{place}._target_ must make a TorchRL Transform, got {transform['_target_']}."
+    try:
+        parameters = inspect.signature(get_object(transform["_target_"])).parameters
+    except ValueError as error:  # a built-in one, without a signature
+        raise ValueError(no_transform) from error
     args = (env,) if next(iter(parameters), None) == "env" else ()
     config = transform if isinstance(transform, DictConfig) else dict(transform)
     with named(place):
         built = instantiate(config, *args, _convert_="all")
     if not isinstance(built, Transform):
-        raise ValueError(
-            f"{place}._target_ must make a TorchRL Transform, got {transform['_target_']}."
-        )
+        raise ValueError(no_transform)
     return built

@@ -7,8 +7,8 @@ from typing import Annotated, Any, get_type_hints
 from hydra.errors import ConfigCompositionException
 from omegaconf import DictConfig, OmegaConf
 
-from zfall.complaints import complaint
-from zfall.configs import compose_config, options_of, plain_containers
+from zfall.complaints import complaint, unknown_key
+from zfall.configs import compose_config, nodes_of, options_of, plain_containers
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
 from zfall.values import ORDERED, Count, Name, NotNegative, Positive, Rule, Whole
@@ -97,12 +97,14 @@ def battery_of(table: DictConfig | Mapping[str, Any], **options: Any) -> Battery
         raise ValueError(
             f"battery {name} must have {missing[0]}, as defaults: [planar, _self_] gives it."
         )
-    if unknown := sorted({*given, *options} - set(names)):
-        raise ValueError(f"options of battery {name} are {', '.join(names)}, got {unknown[0]}.")
+    if unknown := sorted(map(str, {*given, *options} - set(names))):
+        raise ValueError(unknown_key("battery", unknown[0], names))
     numbers = given | {
         key: plain_containers(value) if OmegaConf.is_config(value) else value
         for key, value in options.items()
     }
+    for place, _ in nodes_of(numbers, "battery"):
+        raise ValueError(f"{place} must be plain, as nothing is built here, got a _target_.")
     for key, kind in get_type_hints(Battery, include_extras=True).items():
         if wrong := complaint(numbers[key], kind, f"battery.{key}"):
             raise ValueError(wrong)

@@ -170,7 +170,7 @@ def training_size_of(study: "Study", battery: Battery) -> str:
     size = study.training_size
     try:
         text = str(size) if size is None else f"{float(size):g}"
-    except ValueError:
+    except (TypeError, ValueError):
         text = str(size)
     if text not in (sizes := [f"{impulse:g}" for impulse in battery.impulses]):
         raise ValueError(f"it must be one of {', '.join(sizes)}, got {text}.")

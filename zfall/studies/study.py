@@ -84,7 +84,9 @@ class Study:
         needed = [each.name for each in own if each.default is each.default_factory is MISSING]
         missing = [key for key in needed if OmegaConf.select(config, key) is None]
         if missing:
-            raise ValueError(f"study.{missing[0]} is missing: a study has {', '.join(needed)}.")
+            raise ValueError(
+                f"study.{missing[0]} must be given, as a study has {', '.join(needed)}; got null."
+            )
         values = OmegaConf.to_container(config, resolve=True)
         assert isinstance(values, dict)
         return cls(**{str(key): value for key, value in values.items() if value is not None})

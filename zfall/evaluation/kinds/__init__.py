@@ -112,7 +112,10 @@ def kind_of(battery: "Battery") -> Kind:
     """The kind of a battery.
 
     Raises:
-        ValueError: if its path leads nowhere.
+        ValueError: if its path leads nowhere, or to no class.
     """
-    kind: Kind = object_at(battery.kind, "battery.kind")()
+    made = object_at(battery.kind, "battery.kind")
+    if not isinstance(made, type):
+        raise ValueError(f"battery.kind must name a class, got {battery.kind}.")
+    kind: Kind = made()
     return kind
