@@ -9,6 +9,7 @@ import threading
 
 import pandas as pd
 import pytest
+import torch
 from omegaconf import OmegaConf
 from rich.console import Console
 
@@ -122,6 +123,25 @@ def test_a_run_whose_metrics_are_lost_goes_on_and_says_so(damage, trained, tmp_p
     assert pd.read_csv(folder / "metrics.csv")["update"].tolist() == [3]
     again = run("train", *TINY, f"hydra.run.dir={folder}")  # it still is a run's folder
     assert "must be a folder without a run" in again.stderr
+
+
+def test_a_run_from_before_worlds_had_streams_goes_on_and_says_so(trained, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(trained, folder)
+    last = folder / "checkpoints" / "last.pt"
+    state = checkpoint.load(last, checkpoint.TRAINING)
+    for world in state["worlds"]:
+        del world["env"]["base_env"]["streams"]
+        world["env"]["base_env"]["rng"] = torch.Generator().get_state()
+    checkpoint.save(last, state)
+    done = run("train", f"resume={folder}", "total_frames=96", "showcase=null")
+    assert done.returncode == 0, done.stderr
+    (line,) = [line for line in done.stdout.splitlines() if "begin anew" in line]
+    assert "random numbers" in line
+    assert pd.read_csv(folder / "metrics.csv")["update"].tolist() == [1, 2, 3]
+    again = run("train", f"resume={folder}", "total_frames=128", "showcase=null")
+    assert again.returncode == 0, again.stderr
+    assert "begin anew" not in again.stdout
 
 
 def test_a_checkpoint_is_there_after_the_first_update(compose_config, tmp_path):

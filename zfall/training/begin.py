@@ -31,7 +31,7 @@ def begin(
     Raises:
         ValueError: on a config or a checkpoint of which no training can be made.
     """
-    state, path = None, folder / "checkpoints" / "last.pt"
+    state, notes, path = None, list[str](), folder / "checkpoints" / "last.pt"
     if cfg.resume is not None:
         state = checkpoint.load(path, checkpoint.TRAINING)
         check_version(state["run"], folder)
@@ -63,13 +63,13 @@ def begin(
                 f"behind it, got {cfg.total_frames}."
             )
         with checkpoint.reading(path):
-            learner.load_state_dict(state)
+            notes = learner.load_state_dict(state)
     run = RunFolder(folder, cfg)
     if state is None:
         write_config(cfg, overrides, folder)
     else:
         with checkpoint.reading(path):
-            notes = run.load_state_dict(state["run"])
+            notes += run.load_state_dict(state["run"])
         for line in notes:
             console.print(line, soft_wrap=True)
     return learner, run, untrained

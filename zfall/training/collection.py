@@ -138,8 +138,11 @@ class Worlds:
             for env, carrier in zip(self.envs, self.carriers, strict=True)
         ]
 
-    def load_state_dict(self, states: Sequence[dict[str, Any]]) -> None:
+    def load_state_dict(self, states: Sequence[dict[str, Any]]) -> list[str]:
         """Goes on from what ``state_dict`` gave, after ``begin``.
+
+        Returns:
+            What does not go on, in lines to show.
 
         Raises:
             ValueError: if it is of other groups.
@@ -156,6 +159,12 @@ class Worlds:
             self.carriers[group] = carrier.from_dict(
                 state["carrier"], batch_size=carrier.batch_size
             )
+        if any("rng" in _whole(state)["base_env"] for state in states):
+            return [
+                "the checkpoint is of a version with one random generator for all worlds: random "
+                "numbers begin anew from the seed, all else goes on."
+            ]
+        return []
 
 
 def _whole(state: dict[str, Any]) -> dict[str, Any]:

@@ -268,8 +268,11 @@ class Learner:
             "updates": self.updates,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> list[str]:
         """Goes on from what ``state_dict`` gave.
+
+        Returns:
+            What does not go on, in lines to show.
 
         Raises:
             ValueError: if a policy that it learns from has changed since.
@@ -280,7 +283,7 @@ class Learner:
                     f"{place}.teacher must be what it was when the run began, its weights have "
                     "changed: put them back, or begin anew."
                 )
-        self.worlds.load_state_dict(state["worlds"])  # first, as it may refuse
+        notes = self.worlds.load_state_dict(state["worlds"])  # first, as it may refuse
         self.actor.load_state_dict(state["actor"])
         self.policy.load_state_dict(state["policy"])
         self._average.n_averaged.fill_(state["averaged"])
@@ -294,3 +297,4 @@ class Learner:
         # Sums over parts, one for each thread, are rounded in another order with another number.
         torch.set_num_threads(state.get("threads", torch.get_num_threads()))
         self.frames, self.updates = state["frames"], state["updates"]
+        return notes

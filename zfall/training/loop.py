@@ -99,8 +99,8 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
                 state = checkpoint.load(path, checkpoint.TRAINING)
             check_version(state["run"], folder)
             with checkpoint.reading(path):
-                learner.load_state_dict(state)
-                notes = run.load_state_dict(state["run"])
+                notes = learner.load_state_dict(state)
+                notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)
         elif cfg.warm_start is not None:

@@ -88,7 +88,7 @@ def streams_of(transform: Transform) -> Stream:
 
 
 def name_streams(name: str, transform: Transform) -> None:
-    """Gives a transform, and those in it, random numbers of their own by its name in a table."""
+    """Gives a transform, and those in it, the streams that belong to its name in a table."""
     for place, part in transform.named_modules():
         part.__dict__["_purpose"] = f"{name}.{place}".rstrip(".")
 
