@@ -151,3 +151,23 @@ def test_delay_set_beyond_the_buffer_later_is_refused(make_base, at_rest):
     transform.delay = (0.03, 0.03)
     with pytest.raises(ValueError, match=r"delay must stay within \[0, max_delay\], got \[0.03"):
         transform._reset(TensorDict(batch_size=[4]), at_rest(base))
+
+
+def test_the_delay_in_force_is_shown(make_task):
+    env = make_task(
+        {
+            "action": (JointPositionTarget, {"scale": 0.6}),
+            "delay": (ActuatorDelay, {"delay": [0.0, 0.03], "param": "latency"}),
+        },
+        num_envs=64,
+    )
+    shown = env.rollout(3)["next", "params", "latency"]
+    delay = next(t for t in env.transform if isinstance(t, ActuatorDelay))
+    assert shown.shape == (64, 3, 1)
+    assert_close(shown, (0.004 * delay.lag)[:, None, None].expand_as(shown))
+    assert shown.max() > 0.02
+
+
+def test_delays_of_single_joints_are_not_shown(make_base):
+    with pytest.raises(ValueError, match="param must be null where each joint .*got late"):
+        ActuatorDelay(make_base(), delay=[0.0, 0.03], joints="own", param="late")

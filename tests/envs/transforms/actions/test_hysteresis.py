@@ -1,9 +1,10 @@
 """Loops worked out by hand."""
 
+import pytest
 import torch
 from torch.testing import assert_close
 
-from zfall.envs.transforms.actions import Backlash, Deadband
+from zfall.envs.transforms.actions import Backlash, Deadband, JointPositionTarget
 
 
 def loop(base, send, transform, ways: list[float]) -> torch.Tensor:
@@ -53,3 +54,42 @@ def test_without_width_the_command_passes(make_base, send):
     commands = torch.randn(2, 20, 20)
     for cls in (Backlash, Deadband):
         assert torch.equal(send(cls(base, width=0.0), commands), commands)
+
+
+def test_play_is_drawn_for_each_episode_and_shown(make_task):
+    env = make_task(
+        {
+            "action": (JointPositionTarget, {"scale": 0.6}),
+            "backlash": (Backlash, {"width": [0.01, 0.03], "param": "backlash"}),
+        },
+        num_envs=256,
+    )
+    first = env.reset()["params", "backlash"].clone()
+    assert first.shape == (256, 1)
+    assert 0.01 <= first.min() < 0.0105
+    assert 0.0295 < first.max() <= 0.03
+    assert abs(first.mean() - 0.02) < 3 * 0.02 / (12 * 256) ** 0.5  # of a uniform distribution
+    shown = env.rollout(3)["next", "params", "backlash"]
+    assert (shown == shown[:, :1]).all()
+    assert not torch.equal(shown[:, 0], first)
+
+
+def test_a_world_has_the_play_that_it_shows(make_base, send, at_rest):
+    """A command that turns around by the play moves nothing; by more, the rest of it."""
+    base = make_base(num_envs=8, control_dt=0.02)
+    backlash = Backlash(base, width=[0.01, 0.03])
+    backlash._reset(at_rest(base), at_rest(base))
+    play = backlash.drawn[:, :, None]
+    way = torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0])[None, :, None]
+    back = torch.tensor([0.0, 1.0, 2.0, 2.0, 2.0])[None, :, None] * play
+    got = send(backlash, base.stand_position + way.cumsum(1) - back)
+    moved = got - base.stand_position
+    assert_close(moved[:, 0], 0.5 - play[:, 0].expand(-1, 20) / 2, atol=1e-5, rtol=0)
+    assert_close(moved[:, 1], moved[:, 0], atol=1e-5, rtol=0)
+    assert_close(moved[:, 0] - moved[:, 2], play[:, 0].expand(-1, 20), atol=1e-5, rtol=0)
+
+
+def test_bounds_of_the_play_must_be_in_order(make_base):
+    for width, rule in (([0.02, 0.01], "have the smaller number first"), ([-1, 1], "not be neg")):
+        with pytest.raises(ValueError, match=f"width must {rule}.*got"):
+            Backlash(make_base(), width=width)

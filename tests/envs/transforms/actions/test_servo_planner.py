@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.testing import assert_close
 
 from zfall.envs.transforms.actions import ServoPlanner
@@ -111,3 +112,20 @@ def test_a_ramp_of_servos_that_have_no_register_is_refused(make_base):
         ServoPlanner(make_base(num_envs=1), acceleration=None)
     with pytest.raises(ValueError, match="acceleration must be .*got -1"):
         ServoPlanner(make_base(num_envs=1), acceleration=-1.0)
+
+
+def test_a_world_ramps_as_it_has_drawn(make_base, send, at_rest):
+    """From rest, far from the command, the speed after a second is the acceleration."""
+    base = make_base(num_envs=64)
+    planner = ServoPlanner(base, velocity=None, acceleration=[10.0, 28.0], param="ramp")
+    planner._reset(at_rest(base), at_rest(base))
+    shown = planner._step(TensorDict(), TensorDict(batch_size=[64]))["params", "ramp"]
+    assert 10.0 <= shown.min() < 11.0
+    assert 27.0 < shown.max() <= 28.0
+    send(planner, (base.stand_position + 1000.0).expand(64, 250, 20))  # 1 s
+    assert_close(planner.speed, shown.expand(-1, 20), atol=0.01, rtol=0)
+
+
+def test_only_what_is_drawn_is_shown(make_base):
+    with pytest.raises(ValueError, match="param must be null where nothing is drawn, got ramp"):
+        ServoPlanner(make_base(), param="ramp")

@@ -10,10 +10,11 @@ from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import check_recorded, needs_env, streams_of
+from zfall.envs.transforms.drawn import declare_drawn, drawn_mirror, show_drawn
 from zfall.envs.transforms.lags import Lags
 from zfall.envs.transforms.observations.measured import declare_measured, measured_key
 from zfall.envs.transforms.values import reset_rows
-from zfall.values import Names, NotNegative, NotNegativeBounds, one_of
+from zfall.values import Name, Names, NotNegative, NotNegativeBounds, one_of
 
 
 class ObservationDelay(Transform):
@@ -27,7 +28,8 @@ class ObservationDelay(Transform):
 
     Keys: reads ``("substeps", key)`` ``(N, S, ...)`` and writes ``("measured", key)``
     ``(N, ...)``. It must stand before all transforms that measure the same keys: noise, bias and
-    the like act on what it delivers.
+    the like act on what it delivers. With ``param`` also writes ``("params", param)`` ``(N, 1)``,
+    the delay [s].
 
     Args:
         env: the base env, which is made to record ``keys`` at every physics step.
@@ -35,12 +37,15 @@ class ObservationDelay(Transform):
         keys: the quantities of the group, see ``HumanoidEnv.record_substeps``.
         max_delay: length of the buffer [s]; what ``delay`` may be set to later.
         per: when a delay is drawn, every ``episode`` or every control ``step``.
+        param: name under which the delay is shown; ``null``: it is not.
 
     Raises:
         ValueError: if the delays are not in order within [0, max_delay], on an unknown option, on
             no key at all or one that is not known at every physics step; when the specs are
             built, if an earlier transform has measured one of the keys.
     """
+
+    hardware = "sensors"
 
     history: Tensor
     slot: Tensor
@@ -55,6 +60,7 @@ class ObservationDelay(Transform):
         keys: Names,
         max_delay: NotNegative = 0.1,
         per: Annotated[str, one_of("episode", "step")] = "episode",
+        param: Name | None = None,
     ):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
         needs_env(self, env, "physics steps that it records")
@@ -63,6 +69,8 @@ class ObservationDelay(Transform):
         if not keys:
             raise ValueError("keys must name at least one quantity, got none.")
         env.record_substeps(keys)
+        self.param, self.mirror_signs = param, drawn_mirror(param)
+        self.physics_dt = env.physics_dt
         self.delay, self.keys, self.per, self.substeps = delay, list(keys), per, env.substeps
         self._sizes = [env.observation_spec[key].shape[-1] for key in keys]
         length = self._lags.ring(env.substeps, 1)
@@ -89,7 +97,7 @@ class ObservationDelay(Transform):
         late = self.history[self.row, (self.slot - 1 - self.lag) % self.history.shape[1]]
         for key, value in zip(self.keys, late.split(self._sizes, -1), strict=True):
             tensordict[measured_key(key)] = value.contiguous()
-        return tensordict
+        return show_drawn(tensordict, self.param, self.physics_dt * self.lag)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -111,4 +119,4 @@ class ObservationDelay(Transform):
                     "key in one ObservationDelay only."
                 )
         declare_measured(observation_spec, "keys", self.keys)
-        return observation_spec
+        return declare_drawn(observation_spec, self.param)
