@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from zfall.rotations import (
     cos_tilt,
+    from_angles,
     heading,
     mean_orientation,
     roll_and_pitch,
@@ -131,3 +132,11 @@ def test_wrapped_angle_means_the_same_and_lies_within_half_a_turn():
     assert (wrapped.abs() <= torch.pi).all()
     np.testing.assert_allclose(wrapped.cos(), angle.cos(), atol=1e-5)
     np.testing.assert_allclose(wrapped.sin(), angle.sin(), atol=1e-5)
+
+
+def test_angles_give_back_the_orientation(turns):
+    quaternion, rotation = turns
+    angles = torch.tensor(rotation.as_euler("ZYX")).flip(-1)  # roll, pitch, heading
+    again = from_angles(angles)
+    sign = torch.sign((again * quaternion).sum(-1, keepdim=True))  # both mean the same
+    np.testing.assert_allclose(sign * again, quaternion, atol=1e-10)

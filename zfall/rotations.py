@@ -54,6 +54,25 @@ def roll_and_pitch(up: Tensor) -> Tensor:
     return torch.stack([torch.atan2(y, z), torch.atan2(-x, torch.hypot(y, z))], -1)
 
 
+def from_angles(angles: Tensor) -> Tensor:
+    """Quaternion ``(*B, 4)`` of roll, pitch and heading ``(*B, 3)`` [rad].
+
+    Intrinsic rotations about z, y, x by heading, pitch and roll, the angles that ``heading`` and
+    ``roll_and_pitch`` give.
+    """
+    half = 0.5 * angles
+    (cr, cp, cy), (sr, sp, sy) = half.cos().unbind(-1), half.sin().unbind(-1)
+    return torch.stack(
+        [
+            cy * cp * cr + sy * sp * sr,
+            cy * cp * sr - sy * sp * cr,
+            cy * sp * cr + sy * cp * sr,
+            sy * cp * cr - cy * sp * sr,
+        ],
+        -1,
+    )
+
+
 def heading(quaternion: Tensor) -> Tensor:
     """Angle ``(*B, 1)`` [rad] in (-pi, pi] by which the body is turned about the vertical.
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from filterpy.kalman import KalmanFilter
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
@@ -20,6 +21,7 @@ from zfall.envs.transforms.estimation import (
 )
 from zfall.envs.transforms.observations import ObservationNoise, ObservationVector
 from zfall.rotations import roll_and_pitch, rotate_inverse
+from zfall.static_checks import check_nodes
 
 DT = 0.02
 
@@ -283,3 +285,32 @@ def test_velocity_measured_twice_is_refused(make_base, cls):
 def test_deviation_must_be_positive(make_base, cls, name):
     with pytest.raises(ValueError, match=rf"{name} must be positive, got 0.0"):
         cls(make_base(), **{name: 0.0})
+
+
+def test_gravity_and_orientation_follow_from_the_estimate(make_task):
+    """By SciPy's rotations, with the true heading."""
+    also = ["projected_gravity", "base_orientation"]
+    env = make_task(
+        {
+            "action": (JointPositionTarget, {"scale": 0.6}),
+            "tilt": (TiltKalmanFilter, {"also": also}),
+        },
+        num_envs=8,
+    )
+    check_env_specs(env)
+    torch.manual_seed(0)
+    after = env.rollout(5)["next"][:, -1]
+    true = Rotation.from_quat(after["base_orientation"].numpy()[:, [1, 2, 3, 0]])
+    roll, pitch = after["measured", "tilt"].numpy().T
+    heading = true.as_euler("ZYX")[:, 0]
+    estimate = Rotation.from_euler("ZYX", np.stack([heading, pitch, roll], -1))
+    got = Rotation.from_quat(after["measured", "base_orientation"].numpy()[:, [1, 2, 3, 0]])
+    assert (got.inv() * estimate).magnitude().max() < 1e-5
+    down = estimate.inv().apply([0.0, 0.0, -1.0])
+    np.testing.assert_allclose(after["measured", "projected_gravity"], down, atol=1e-5)
+
+
+def test_nothing_else_follows_from_a_tilt():
+    node = {"_target_": "zfall.envs.transforms.estimation.TiltKalmanFilter", "also": ["target"]}
+    with pytest.raises(ValueError, match="also must hold names of projected_gravity, base_orie"):
+        check_nodes({"tilt": node})

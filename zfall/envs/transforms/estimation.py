@@ -6,6 +6,9 @@ an estimate is the true value; that of the gyro's bias is 0, as of a robot just 
 bias of 0.02 rad/s the tilt is off by up to 0.04 rad in the first ten seconds.
 """
 
+from collections.abc import Sequence
+from typing import Annotated
+
 import numpy as np
 import torch
 from filterpy.common import Q_discrete_white_noise
@@ -19,8 +22,11 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.envs.transforms.values import reset_rows
-from zfall.rotations import roll_and_pitch
-from zfall.values import Positive
+from zfall.rotations import from_angles, heading, roll_and_pitch, up_axis
+from zfall.values import Name, Positive, Rule
+
+_TILTED = ("projected_gravity", "base_orientation")  # what follows from the tilt
+_FOLLOWING = Rule(f"hold names of {', '.join(_TILTED)}", lambda x: set(x) <= set(_TILTED))
 
 
 def steady_update(kalman: KalmanFilter) -> Tensor:
@@ -73,14 +79,17 @@ class TiltKalmanFilter(Transform):
 
     Keys: reads ``base_acceleration`` [m/s2] and ``base_angular_velocity`` [rad/s] ``(N, 3)``,
     measured if they are, and the true ``projected_gravity`` ``(N, 3)``; writes ``tilt``
-    ``(N, 2)``, roll and pitch against gravity [rad], its estimate ``("measured", "tilt")``, and
-    ``("measured", "gyro_bias")`` ``(N, 2)`` about x and y [rad/s].
+    ``(N, 2)``, roll and pitch against gravity [rad], its estimate ``("measured", "tilt")``,
+    ``("measured", "gyro_bias")`` ``(N, 2)`` about x and y [rad/s], and what ``also`` names.
 
     Args:
         env: the base env.
         gyro_std: standard deviation of the gyro's noise [rad/s].
         bias_rate: of the wandering of its bias [rad/s per square root of a second].
         angle_std: standard deviation of the accelerometer's angle [rad].
+        also: quantities whose measured value is to follow from the estimate, for policies that
+            observe these: ``projected_gravity``, and ``base_orientation``, whose heading is the
+            true one.
 
     Raises:
         ValueError: if a value is not positive, or the filter does not settle.
@@ -89,6 +98,7 @@ class TiltKalmanFilter(Transform):
     1960; gains by filterpy (Labbe, "Kalman and Bayesian filters in Python").
     """
 
+    estimates = "tilt"
     matrix: Tensor
     state: Tensor
     rate: Tensor
@@ -102,11 +112,14 @@ class TiltKalmanFilter(Transform):
         gyro_std: Positive = 0.02,
         bias_rate: Positive = 0.002,
         angle_std: Positive = 0.2,
+        also: Annotated[Sequence[Name], _FOLLOWING] = (),
     ):
+        follow = [measured_key(key) for key in also]
         super().__init__(
             in_keys=["base_acceleration", "base_angular_velocity", "projected_gravity"],
-            out_keys=["tilt", ("measured", "tilt"), ("measured", "gyro_bias")],
+            out_keys=["tilt", ("measured", "tilt"), ("measured", "gyro_bias"), *follow],
         )
+        self.also = tuple(also)
         needs_env(self, env, "a memory of each world")
         values = {"gyro_std": gyro_std, "bias_rate": bias_rate, "angle_std": angle_std}
         for name, value in values.items():
@@ -138,6 +151,12 @@ class TiltKalmanFilter(Transform):
         tensordict["tilt"] = roll_and_pitch(-tensordict["projected_gravity"])
         tensordict["measured", "tilt"] = self.state[..., 0].clone()
         tensordict["measured", "gyro_bias"] = self.state[..., 1].clone()
+        if self.also:
+            ahead = heading(tensordict["base_orientation"])
+            estimate = from_angles(torch.cat([self.state[..., 0], ahead], -1))
+            values = {"base_orientation": estimate, "projected_gravity": -up_axis(estimate)}
+            for key in self.also:
+                tensordict["measured", key] = values[key]
         return tensordict
 
     def _reset(
@@ -155,7 +174,9 @@ class TiltKalmanFilter(Transform):
         base_env_of(self)
         for key in self.out_keys:
             _check_not_measured(observation_spec, "TiltKalmanFilter", key)
-            observation_spec[key] = Unbounded(self.rate.shape)
+            follows = isinstance(key, tuple) and key[1] in self.also
+            shape = observation_spec[key[1]].shape if follows else self.rate.shape
+            observation_spec[key] = Unbounded(shape)
         return observation_spec
 
 
@@ -181,6 +202,7 @@ class JointVelocityKalmanFilter(Transform):
     Navigation", Wiley 2001, section 6.3.2 (discrete white noise acceleration); gains by filterpy.
     """
 
+    estimates = "joint_velocity"
     matrix: Tensor
     state: Tensor
 
@@ -241,6 +263,7 @@ class NumericalVelocity(Transform):
     IROS 2022, section IV.
     """
 
+    estimates = "joint_velocity"
     previous: Tensor
 
     measured = True  # sensing must come before it
