@@ -54,7 +54,7 @@ def make_env(
             "is null in the table."
         )
     env = base_env if isinstance(base_env, EnvBase) else instantiate(base_env, _convert_="all")
-    ordered = _in_place({k: v for k, v in transforms.items() if v is not None})
+    ordered = in_place(transforms)
     used = {k: v for k, v in ordered.items() if training or k not in training_only}
     built = {name: build_transform(t, env, f"transforms.{name}") for name, t in used.items()}
     for name, transform in built.items():
@@ -73,12 +73,12 @@ def make_env(
     return task
 
 
-def _in_place(
-    transforms: Mapping[str, Transform | Mapping[str, Any]],
+def in_place(
+    transforms: Mapping[str, Transform | Mapping[str, Any] | None],
 ) -> dict[str, Transform | Mapping[str, Any]]:
-    """The table in the order that its ``before`` ask for, without them."""
-    table = dict(transforms.items())
-    for name, transform in transforms.items():
+    """The table in the order that its ``before`` ask for, without them and without ``None``."""
+    table = {name: each for name, each in transforms.items() if each is not None}
+    for name, transform in list(table.items()):
         if isinstance(transform, Transform):
             continue
         if not isinstance(transform, Mapping) or "_target_" not in transform:

@@ -21,6 +21,7 @@ from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.randomization import DomainRandomization
 from zfall.envs.transforms.starts import ScriptedStart
+from zfall.envs.worlds import in_world
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.metrics import Outcomes
@@ -77,6 +78,8 @@ def battery_env(
 ) -> tuple[TransformedEnv, ScriptedStart, ScriptedPush]:
     """The env of a run as a battery uses it: its control and observation, our starts and pushes.
 
+    In a battery's ``world`` the hardware is that of the world.
+
     Args:
         battery: the definition.
         cfg: config of the env, as in ``recipes/env``; its ``training_only`` is left out, and
@@ -88,6 +91,7 @@ def battery_env(
     Raises:
         ValueError: if it draws what the battery sets of the physics.
     """
+    cfg = in_world(cfg, battery.world)
     base = instantiate(cfg.base_env, num_envs=num_envs, powered=servos, _convert_="all")
     start = ScriptedStart(base, states={"joint_position": base.stand_position.repeat(num_envs, 1)})
     points = [*battery.points, *battery.points[:1] * (pushes - len(battery.points))]

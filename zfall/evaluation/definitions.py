@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall.complaints import complaint, unknown_key
 from zfall.configs import compose_config, nodes_of, options_of, plain_containers
+from zfall.envs.worlds import check_world
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
 from zfall.values import ORDERED, Count, Name, NotNegative, Positive, Rule, Whole
@@ -42,6 +43,7 @@ class Battery:
     interval: Positive | None
     forces: tuple[tuple[float, float], ...]
     force_starts: Whole
+    world: Mapping[str, Mapping[str, Any]] | None
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -116,6 +118,7 @@ def battery_of(table: DictConfig | Mapping[str, Any], **options: Any) -> Battery
             f"battery.end_time must be later than the end of the push, {over:g} s, "
             f"got {battery.end_time}."
         )
+    check_world(battery.world, "battery.world")
     kind_of(battery).check(battery)
     followers_of(battery)
     return battery

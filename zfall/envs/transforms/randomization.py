@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -41,6 +42,7 @@ class DomainRandomization(Transform):
             reaches beyond those ``ranges``.
     """
 
+    hardware = "physics"
     clock: Tensor
 
     def __init__(
@@ -168,7 +170,8 @@ def _check(name: str, distribution: Mapping[str, Any], bounds: tuple[float, floa
     for key, (low, high) in ranges.items():
         if not low <= high:
             raise ValueError(f"{name}.{key} must be [low, high], got {[low, high]}.")
-        if not bounds[0] <= low <= high <= bounds[1]:
+        least, most = map(float, np.float32((low, high)))  # like the values
+        if not bounds[0] <= least <= most <= bounds[1]:
             raise ValueError(
                 f"{name}.{key} must be within [{bounds[0]:.3g}, {bounds[1]:.3g}], "
                 f"got {[low, high]}."
@@ -186,6 +189,7 @@ class JointZeroOffset(Transform):
     "joint_position")`` ``(N, J)`` [rad], their sum.
     """
 
+    hardware = "sensors"
     forward = on_data
 
     def __init__(self) -> None:
@@ -229,6 +233,8 @@ class ImuMisalignment(Transform):
         ValueError: on a negative angle or a key that is not a vector.
     """
 
+    hardware = "sensors"
+    mirror_signs = {"params/imu_misalignment": (-1.0, 1.0, -1.0)}  # an axial vector
     rotation: Tensor
 
     def __init__(

@@ -38,6 +38,7 @@ class ObservationBias(Transform):
         ValueError: on a negative value, no key at all, or a key that the base env does not have.
     """
 
+    hardware = "sensors"
     limits = {"std": NOT_NEGATIVE, "uniform": NOT_NEGATIVE}
 
     def __init__(
@@ -107,6 +108,7 @@ class ObservationRandomWalk(Transform):
         ValueError: on a negative rate, or a key that the base env does not have.
     """
 
+    hardware = "sensors"
     limits = {"rate": NOT_NEGATIVE}
 
     def __init__(self, env: HumanoidEnv, *, rate: Mapping[str, NotNegative]):

@@ -37,6 +37,8 @@ class ObservationDropout(Transform):
             env does not have.
     """
 
+    hardware = "sensors"
+
     def __init__(self, env: HumanoidEnv, *, probability: Fraction, keys: Names):
         super().__init__(in_keys=list(keys), out_keys=[measured_key(key) for key in keys])
         needs_env(self, env, "a memory of each world")

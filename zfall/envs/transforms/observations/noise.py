@@ -43,6 +43,7 @@ class ObservationNoise(Transform):
         ValueError: on a negative value, no key at all, or a key that is not there.
     """
 
+    hardware = "sensors"
     limits = {"std": NOT_NEGATIVE, "uniform": NOT_NEGATIVE}
     forward = on_data
 

@@ -32,6 +32,7 @@ class Quantization(Transform):
         ValueError: on a step that is not positive, or a key that is not there.
     """
 
+    hardware = "sensors"
     limits = {"step": POSITIVE}
     forward = on_data
 

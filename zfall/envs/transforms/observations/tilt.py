@@ -23,6 +23,7 @@ class TiltAngles(Transform):
         ValueError: when the specs are built, if an earlier transform has measured ``tilt``.
     """
 
+    hardware = "sensors"
     measured = True  # sensing must come before it
     forward = on_data
 
