@@ -62,9 +62,12 @@ def test_a_place_before_hardware_that_goes_is_kept(compose_config):
 def test_what_is_no_world_is_refused(world, message):
     with pytest.raises(ValueError, match=message):
         check_world(world)
-    if not isinstance(world, int):
-        with pytest.raises(ValueError, match=message):
-            load_battery("planar", world=world)
+
+
+def test_a_battery_refuses_what_is_no_world():
+    world = {"commands": {"late": {**DELAY, "delay": [2, 1]}}}
+    with pytest.raises(ValueError, match="battery.world.commands.*late.delay must be two numbers"):
+        load_battery("planar", world=world)
 
 
 def test_names_of_a_world_are_its_own(compose_config):

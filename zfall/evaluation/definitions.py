@@ -105,8 +105,9 @@ def battery_of(table: DictConfig | Mapping[str, Any], **options: Any) -> Battery
         key: plain_containers(value) if OmegaConf.is_config(value) else value
         for key, value in options.items()
     }
-    for place, _ in nodes_of(numbers, "battery"):
-        raise ValueError(f"{place} must be plain, as nothing is built here, got a _target_.")
+    plain = {key: value for key, value in numbers.items() if key != "world"}
+    for place, _ in nodes_of(plain, "battery"):
+        raise ValueError(f"{place} must be plain, as nothing is built of it, got a _target_.")
     for key, kind in get_type_hints(Battery, include_extras=True).items():
         if wrong := complaint(numbers[key], kind, f"battery.{key}"):
             raise ValueError(wrong)
