@@ -66,7 +66,7 @@ class Streams:
         if at is None:
             at = self._at[purpose] = np.zeros(len(self._all), np.int64)
         mask = self._all if rows is None else np.ascontiguousarray(rows.numpy())
-        out = np.zeros((len(self._all), int(np.prod(shape))), dtype)
+        out: NDArray[Any] = np.zeros((len(self._all), int(np.prod(shape))), dtype)
         fill(out, mask, self._worlds, at, np.uint64(self.seed), _number_of(purpose), *args)
         return torch.from_numpy(out.reshape(len(self._all), *shape))
 
