@@ -29,7 +29,13 @@ KINDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", list(KINDS))
+SLOW = {"shared_mode", "gru_residual"}  # to export; others of their kind are not
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=pytest.mark.slow) if kind in SLOW else kind for kind in KINDS],
+)
 def test_onnx_acts_as_the_actor_over_ten_seconds(kind, tmp_path):
     """250 steps in which each feeds on its own memory; observations beyond the normaliser's clip."""
     onnxruntime = pytest.importorskip("onnxruntime")

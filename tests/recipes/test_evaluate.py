@@ -12,10 +12,29 @@ from tests.shell import SMALL, run
 SMALL_SETTING = "planar_point-pelvis_directions-2_impulses-0.2_starts-1_end_time-4.0"
 
 
-def test_battery_of_a_run_and_of_a_baseline(trained, tmp_path):
+@pytest.fixture(scope="module")
+def evaluated(trained):
+    """The results of a run in a small battery."""
     done = run("evaluate", f"run={trained}", "battery=planar", *SMALL, "num_envs=64")
     assert done.returncode == 0, done.stderr
-    folder = trained / "evaluation" / SMALL_SETTING
+    return trained / "evaluation" / SMALL_SETTING
+
+
+ENVELOPE = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1",
+            "num_envs=64", "resolution=0.4", "end_time=3.6"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def envelope(trained):
+    """The results of a run in a small envelope."""
+    done = run("evaluate", f"run={trained}", *ENVELOPE)
+    assert done.returncode == 0, done.stderr
+    setting = "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-3.6"
+    return trained / "evaluation" / setting
+
+
+def test_battery_of_a_run(evaluated):
+    folder = evaluated
     summary = json.loads((folder / "summary.json").read_text())
     assert {"battery_version", "n", "i50_mean", "i50_min", "i90_mean", "i50", "success", "success_low",
             "success_high", "control_falls", "control_n"} <= set(summary)  # fmt: skip
@@ -90,16 +109,15 @@ def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
     assert pd.read_csv(folder / "comparison.csv").set_index("run").equals(table)
 
 
-def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
-    assert run("evaluate", f"run={trained}", *SMALL, "num_envs=64").returncode == 0
-    trials = pd.read_csv(trained / "evaluation" / SMALL_SETTING / "trials.csv")
+def test_a_trial_run_alone_is_the_same_trial(trained, evaluated):
+    trials = pd.read_csv(evaluated / "trials.csv")
     done = run("evaluate", f"run={trained}", *SMALL, "trial=3")
     assert done.returncode == 0, done.stderr
     for key in ("peak_tilt", "joint_torque_rms", "recovered", "displacement"):
         value = trials[key][3]
         shown = f"{value:.4g}" if isinstance(value, float) else str(value)
         assert f"{key}: {shown}" in done.stdout
-    folder = trained / "evaluation" / SMALL_SETTING
+    folder = evaluated
     traces = pd.read_csv(folder / "trial_3.csv")
     assert len(traces) == 100  # 4 s
     assert traces["target/left_knee_pitch"].iloc[0] != 0.0
@@ -111,25 +129,16 @@ def test_a_trial_run_alone_is_the_same_trial(trained, tmp_path):
     assert "trial must be one of 0 to 3, got 999" in bad.stderr
 
 
-def test_results_of_one_setting_do_not_overwrite_those_of_another(trained):
-    assert run("evaluate", f"run={trained}", *SMALL).returncode == 0
-    path = trained / "evaluation" / SMALL_SETTING / "trials.csv"
-    before = path.read_bytes()
-    for more in (
-        "keep=[noise]",
-        "seed=7",
-        "battery.max_tilt=0.3",
-        'change=["transforms.action.scale=0.3"]',
-    ):
-        assert run("evaluate", f"run={trained}", *SMALL, more).returncode == 0
-        assert path.read_bytes() == before
-    names = {path.name for path in (trained / "evaluation").glob(f"{SMALL_SETTING}_*")}
-    assert {f"{SMALL_SETTING}_keep-noise", f"{SMALL_SETTING}_seed-7"} <= names
-    assert f"{SMALL_SETTING}_max_tilt-0.3" in names
-    assert any(
-        "Battery " + name.replace("_", " ") in (trained / "report.html").read_text()
-        for name in names
-    )
+def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evaluated):
+    before = (evaluated / "trials.csv").read_bytes()
+    changed = ["battery.max_tilt=0.3", 'change=["transforms.action.scale=0.3"]']
+    for more in (["keep=[noise]", "seed=7"], changed):
+        assert run("evaluate", f"run={trained}", *SMALL, *more).returncode == 0
+    assert (evaluated / "trials.csv").read_bytes() == before
+    stems = [path.name for path in (trained / "evaluation").glob("planar_*")]
+    assert f"{SMALL_SETTING}_keep-noise_seed-7" in stems
+    page = html.unescape((trained / "report.html").read_text())
+    assert all(f"Battery {name.replace('_', ' ')}" in page for name in stems)
 
 
 @pytest.mark.parametrize(
@@ -173,15 +182,8 @@ def test_run_and_runs_exclude_each_other(trained):
     assert "runs a list of them; got both" in done.stderr
 
 
-def test_envelope_of_a_run_is_drawn_with_that_of_pose_hold(trained):
-    more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
-    done = run("evaluate", f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=4.0")
-    assert done.returncode == 0, done.stderr
-    folder = (
-        trained
-        / "evaluation"
-        / "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-4.0"
-    )
+def test_envelope_of_a_run_is_drawn_with_that_of_pose_hold(trained, envelope):
+    folder = envelope
     table = pd.read_csv(folder / "envelope.csv")
     assert len(table) == 2
     assert table["largest"].isin([0.0, 0.4, 0.8]).all()
@@ -192,17 +194,10 @@ def test_envelope_of_a_run_is_drawn_with_that_of_pose_hold(trained):
     assert "runs needs a battery whose trials are the same" in bad.stderr
 
 
-def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, monkeypatch):
+def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, envelope, monkeypatch):
     from zfall.evaluation import run as library
 
-    more = ["battery=envelope", "point=torso", "directions=2", "impulses=[0.8]", "starts=1"]
-    args = [f"run={trained}", *more, "num_envs=64", "resolution=0.4", "end_time=3.6"]
-    folder = (
-        trained
-        / "evaluation"
-        / "envelope_point-torso_directions-2_impulses-0.8_starts-1_resolution-0.4_end_time-3.6"
-    )
-    assert run("evaluate", *args).returncode == 0
+    args, folder = [f"run={trained}", *ENVELOPE], envelope
     whole = (folder / "trials.csv").read_bytes(), (folder / "envelope.csv").read_bytes()
     real, labels = library.run_battery, []
 

@@ -386,7 +386,7 @@ def test_sigma_by_name_finds_its_place_in_the_observation(compose_config):
     assert not caps.sigma[46:].any()
 
 
-@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+@pytest.mark.parametrize("actor", ["mlp_gaussian", pytest.param("gru_mog", marks=pytest.mark.slow)])
 def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, actor):
     """How much the action without exploration changes from step to step, after some updates."""
     rough = {}
