@@ -117,7 +117,7 @@ def test_unknown_servos_and_values_are_refused_with_those_there_are():
 
 @pytest.mark.parametrize(("ask", "key"), [
     (lambda one: one.temperature(1.0, 60.0), "thermal_time_constant"),
-    (lambda one: one.copper_loss(1.0), "stall_current"),
+    (lambda one: replace(one, stall_current=None).copper_loss(1.0), "stall_current"),
     (lambda one: replace(one, friction=None).motor_torque(), "friction"),
     (lambda one: replace(one, external_load_friction=None).gear_friction(1, 1, 0), "external_load"),
 ])  # fmt: skip

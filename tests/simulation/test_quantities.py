@@ -7,7 +7,7 @@ import torch
 
 from zfall.robots import ZEROTH01
 from zfall.simulation import quantities
-from zfall.simulation.quantities import QUANTITIES, markdown_table, observation_spec
+from zfall.simulation.quantities import BALL, QUANTITIES, markdown_table, observation_spec
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "quantities.md"
 
@@ -29,7 +29,7 @@ def test_the_env_writes_every_quantity_in_the_shape_and_type_of_the_table(make_b
 def test_shapes_follow_the_robot():
     one_armed = ZEROTH01.joints[:-4]
     robot = replace(ZEROTH01, joints=one_armed, regions=ZEROTH01.regions[:5])
-    spec = observation_spec(robot, 7, with_ball=True)
+    spec = observation_spec(robot, 7, BALL)
     assert spec["joint_torque"].shape == (7, 16)
     assert spec["contact_force_peak"].shape == (7, 5)
     assert spec["feet_corner_force"].shape == (7, 2, 4)

@@ -15,6 +15,7 @@ def made_for(env: Any) -> dict[str, Any]:
         "robot": identity_of(env.robot),
         "control_dt": env.control_dt,
         "physics_dt": env.physics_dt,
+        "servo_dynamics": env.servo_dynamics is not None,
     }
 
 
@@ -38,7 +39,7 @@ def check_made_for(
             "an env's state must be what env.state_dict() gives, "
             f"got {', '.join(map(str, state)) or 'nothing'}."
         )
-    made_for = state.get("made_for", {})
+    made_for = {"servo_dynamics": False} | state.get("made_for", {})
     for key, value in here.items():
         if made_for.get(key, value) != value:
             raise ValueError(

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms.utils import _get_reset
 
@@ -26,7 +26,10 @@ from zfall.simulation.compiled import sound
 from zfall.simulation.cpu import Simulation
 from zfall.simulation.memory import check_memory
 from zfall.simulation.model import (
+    actuator_order,
     compile_model,
+    find_push_target,
+    joint_range,
     physics_steps,
     push_targets,
     sensor_slices,
@@ -36,12 +39,13 @@ from zfall.simulation.parameters import PhysicsParameters
 from zfall.simulation.quantities import (
     PEAK_KEYS,
     STATE_KEYS,
-    SUBSTEP_KEYS,
     action_spec,
     done_spec,
     observation_spec,
+    with_substeps,
 )
 from zfall.simulation.read_quantities import QuantityReader
+from zfall.simulation.servo_dynamics import ServoDynamics
 from zfall.values import Count, Positive
 
 __all__ = ["STATE_KEYS", "HumanoidEnv"]
@@ -75,6 +79,7 @@ class HumanoidEnv(EnvBase):
         push_points: points for pushes in addition to the robot's, by name.
         ball: a ball that ``ThrownBall`` can throw.
         servos: by joint; those of the robot's MJCF if ``None``. See ``zfall.robots.servos``.
+        servo_dynamics: whether ``servos`` feel load, supply and overload: ``ServoDynamics``.
         powered: whether the servos act at all; without power the robot is limp.
         threads: threads for the physics; all cores if ``None``.
 
@@ -95,6 +100,7 @@ class HumanoidEnv(EnvBase):
         push_points: dict[str, PushPoint] | None = None,
         ball: Ball | None = None,
         servos: Mapping[str, Servo] | None = None,
+        servo_dynamics: bool = False,
         powered: bool = True,
         threads: Count | None = None,
     ):
@@ -112,28 +118,28 @@ class HumanoidEnv(EnvBase):
         self.push_targets = push_targets(model)
         self.num_bodies = model.nbody - 1
         self.mass = float(model.body_mass.sum()) - (ball.mass if ball else 0.0)
-        self.parameters = PhysicsParameters(model, robot, num_envs, servos)
+        self.parameters = PhysicsParameters(model, robot, num_envs, servos, servo_dynamics)
+        self.servo_dynamics: ServoDynamics | None = None
+        if servo_dynamics:
+            each = (robot.joints, servos, self.parameters.values)
+            self.servo_dynamics = ServoDynamics(model, *each, control_dt)
         self.streams = Streams(num_envs)
-        ranges = [model.joint(name).range for name in robot.joints]
-        self.joint_range = torch.from_numpy(np.stack(ranges)).float()
+        self.joint_range = joint_range(model, robot)
         self.stand_position = torch.tensor(robot.stand_position)
         self.servo_time_constant = servo_time_constant(model, robot)
         self._observed: Observed | None = None  # what the last step or reset gave
-        self._repeats = Repeats()
+        self._repeats, self._forces = Repeats(), StepForces(num_envs)
         self._read = QuantityReader(
             robot, model, sensor_slices(model), mass=self.mass, control_dt=control_dt
         )
-        # Joints in the order of the model's actuators, if that is another one.
-        order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
-        self._to_actuators = slice(None) if order == sorted(order) else torch.tensor(order)
-        self._forces = StepForces(num_envs)
+        self._to_actuators = actuator_order(model, robot)
         stand_control = self.stand_position.double()[self._to_actuators]
         self._placing = Placing(robot, model, self._read.places, stand_control)
         self._ball = BallState(model) if ball else None
         self.camera = Camera(model)
         self._made_for = made_for(self)
-        self._observer = Observer(self._read, self.parameters, self._ball)
-        self.observation_spec = observation_spec(robot, num_envs, with_ball=ball is not None)
+        self._observer = Observer(self._read, self.parameters, self._ball, self.servo_dynamics)
+        self.observation_spec = observation_spec(robot, num_envs, self._observer.quantities)
         self.full_action_spec = action_spec(self.joint_range, num_envs, substeps)
         self.full_reward_spec = Composite(shape=(num_envs,))  # a task's transforms give the reward
         self.full_done_spec = done_spec(num_envs)
@@ -145,12 +151,7 @@ class HumanoidEnv(EnvBase):
         Raises:
             ValueError: if there is none of this name.
         """
-        if point not in self.push_targets:
-            raise ValueError(
-                f"point must be a push point or a link, one of {', '.join(self.push_targets)}; "
-                f"got {point!r}."
-            )
-        return self.push_targets[point]
+        return find_push_target(self.push_targets, point)
 
     def add_force(
         self,
@@ -185,20 +186,9 @@ class HumanoidEnv(EnvBase):
         Raises:
             ValueError: on a key that is not known at every physics step.
         """
-        keys = list(keys)
-        unknown = [key for key in keys if key not in SUBSTEP_KEYS]
-        if unknown:
-            raise ValueError(
-                f"keys must be known at every physics step ({', '.join(SUBSTEP_KEYS)}), "
-                f"got {unknown[0]}."
-            )
-        self._observer.recorded = tuple(dict.fromkeys((*self._observer.recorded, *keys)))
+        keys = self._observer.record(keys)
         self._observed = None
-        spec = self.observation_spec.clone()
-        for key in keys:
-            num, *shape = spec[key].shape
-            spec["substeps", key] = Unbounded((num, self.substeps, *shape))
-        self.observation_spec = spec
+        self.observation_spec = with_substeps(self.observation_spec, keys, self.substeps)
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -212,13 +202,17 @@ class HumanoidEnv(EnvBase):
             self.simulation.qvel[:, :3] += kick
         if self._ball:
             self._ball.launch(self.simulation, tensordict)
+        if self.servo_dynamics:
+            self.servo_dynamics.act(self.simulation)
         sensors = self.simulation.step(control[..., self._to_actuators])
+        if self.servo_dynamics:
+            self.servo_dynamics.advance(self.simulation, sensors)
         observed = self._observer(self.simulation, sensors)
         diverged = self.simulation.diverged | fault
         for key in PEAK_KEYS:  # of what is in between
             diverged = diverged | torch.from_numpy(~sound(observed[key].numpy()))
         if diverged.any():  # such a world ends here, in a state the learner can read
-            sensors = self._placing.place(self.simulation, diverged, {})
+            sensors = self._place(diverged, {})
             observed = self._observer(self.simulation, sensors)
         self._observed = observed
         return with_flags(observed, diverged[:, None])
@@ -227,14 +221,19 @@ class HumanoidEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         source = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         before, rows = self._observed, _get_reset("_reset", source).reshape(self.num_envs)
-        sensors = self._placing.place(self.simulation, rows, start_of(source))
+        sensors = self._place(rows, start_of(source))
         if before is None or rows.all():
-            observed = self._observer(self.simulation, sensors)
+            self._observed = self._observer(self.simulation, sensors)
         else:  # a few new rows among what the others had
-            observed = self._observer(self.simulation, sensors, rows.nonzero()[:, 0], before)
-        self._observed = observed
+            index = rows.nonzero()[:, 0]
+            self._observed = self._observer(self.simulation, sensors, index, before)
         self._repeats.forget()
-        return with_flags(observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
+        return with_flags(self._observed, torch.zeros(self.num_envs, 1, dtype=torch.bool))
+
+    def _place(self, rows: Tensor, start: Mapping[str, Tensor]) -> Tensor:
+        if self.servo_dynamics:
+            self.servo_dynamics.reset(rows)
+        return self._placing.place(self.simulation, rows, start)
 
     @property
     def physics_param_spec(self) -> Composite:
@@ -263,7 +262,8 @@ class HumanoidEnv(EnvBase):
 
     def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """All that the coming steps and resets depend on, enough to go on bit for bit."""
-        return {
+        servos = {"servos": self.servo_dynamics.state_dict()} if self.servo_dynamics else {}
+        return servos | {
             "made_for": self._made_for,
             "simulation": self.simulation.state_dict(),
             "streams": self.streams.state_dict(),
@@ -282,6 +282,8 @@ class HumanoidEnv(EnvBase):
         self.simulation.load_state_dict(state_dict["simulation"])
         if "streams" in state_dict:  # else it is from before, see ``zfall.training``
             self.streams.load_state_dict(state_dict["streams"])
+        if self.servo_dynamics:
+            self.servo_dynamics.load_state_dict(state_dict["servos"])
         self._observed = copies(state_dict.get("observed"))
         self._repeats.forget()
 
@@ -295,5 +297,4 @@ class HumanoidEnv(EnvBase):
         Raises:
             RuntimeError: if no OpenGL is to be had.
         """
-        states = self.simulation.qpos.numpy()
-        return np.stack([self.camera.picture(qpos, height, width) for qpos in states])
+        return self.camera.pictures(self.simulation.qpos.numpy(), height, width)

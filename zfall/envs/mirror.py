@@ -28,6 +28,7 @@ _SIGNS: dict[str, tuple[float, ...]] = {
         ("base_height", "base_acceleration_peak", "joint_torque_peak"),
         (1.0,),
     ),
+    **dict.fromkeys(("battery_voltage", "supply_voltage", "params/supply_resistance"), (1.0,)),
     **dict.fromkeys(
         ("params/foot_friction", "params/floor_friction", "params/battery_voltage"), (1.0,)
     ),
@@ -46,11 +47,11 @@ _JOINTS = (
     *("joint_position", "joint_velocity", "joint_torque", "target", "action", "last_action"),
     "params/joint_zero_offset",
 )
-_OF_JOINTS = tuple(  # factors: the other joint's, whatever the signs of their angles
-    f"params/{name}"
-    for name in ("joint_friction_loss", "joint_damping", "joint_armature", "servo_stiffness",
-                 "servo_torque_limit")
-)  # fmt: skip
+_OF_JOINTS = (  # not negative: the other joint's, whatever the signs of their angles
+    *("params/joint_friction_loss", "params/joint_damping", "params/joint_armature"),
+    *("params/servo_stiffness", "params/servo_torque_limit", "params/load_friction"),
+    "servo_temperature",
+)
 _OF_REGIONS = ("contact_force_peak", "contact_impulse")
 _WITHIN_RANGE = ("joint_position", "target")  # left and right need not have the same ranges
 

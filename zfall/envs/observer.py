@@ -10,7 +10,9 @@ from torch import Tensor
 from zfall.envs.ball_state import BallState
 from zfall.simulation.cpu import Simulation
 from zfall.simulation.parameters import PhysicsParameters
+from zfall.simulation.quantities import BALL, SUBSTEP_KEYS, Quantity
 from zfall.simulation.read_quantities import QuantityReader
+from zfall.simulation.servo_dynamics import ServoDynamics
 
 Observed = dict[NestedKey, Tensor]
 
@@ -22,14 +24,42 @@ class Observer:
         read: gives the robot's quantities.
         parameters: of the physics.
         ball: the state of a ball, if there is one.
+        servos: the dynamics of the servos, if they have some.
 
     Attributes:
         recorded: keys that are also written after each physics step.
     """
 
-    def __init__(self, read: QuantityReader, parameters: PhysicsParameters, ball: BallState | None):
-        self._read, self._parameters, self._ball = read, parameters, ball
+    def __init__(
+        self,
+        read: QuantityReader,
+        parameters: PhysicsParameters,
+        ball: BallState | None,
+        servos: ServoDynamics | None,
+    ):
+        self._read, self._parameters, self._ball, self._servos = read, parameters, ball, servos
         self.recorded: tuple[str, ...] = ()
+
+    def record(self, keys: Iterable[str]) -> list[str]:
+        """Adds to ``recorded``; returns what is added.
+
+        Raises:
+            ValueError: on a key that is not known at every physics step.
+        """
+        keys = list(keys)
+        unknown = [key for key in keys if key not in SUBSTEP_KEYS]
+        if unknown:
+            raise ValueError(
+                f"keys must be known at every physics step ({', '.join(SUBSTEP_KEYS)}), "
+                f"got {unknown[0]}."
+            )
+        self.recorded = tuple(dict.fromkeys((*self.recorded, *keys)))
+        return keys
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is observed in addition to ``QUANTITIES``."""
+        return (*(BALL if self._ball else ()), *(self._servos.quantities if self._servos else ()))
 
     def __call__(
         self,
@@ -58,6 +88,8 @@ class Observer:
             new |= {("substeps", key): value for key, value in by_step.items()}
         if self._ball:
             new |= self._ball.read(_rows_of(states, index))
+        if self._servos:
+            new |= self._servos.read(index)
         if index is not None and before is not None:
             new = {key: before[key].index_copy(0, index, value) for key, value in new.items()}
         return out | new

@@ -73,6 +73,10 @@ class Camera:
         self._renderer.update_scene(self._data, camera="track")
         return self._renderer.render()
 
+    def pictures(self, states: NDArray[np.float64], height: int, width: int) -> NDArray[np.uint8]:
+        """One picture of each of the ``states`` ``(N, nq)``, ``(N, height, width, 3)``."""
+        return np.stack([self.picture(qpos, height, width) for qpos in states])
+
     def close(self) -> None:
         """Frees the renderer; the next picture makes a new one."""
         if self._renderer is not None:

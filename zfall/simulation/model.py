@@ -93,6 +93,31 @@ def push_targets(model: mujoco.MjModel) -> dict[str, int]:
     return points | {name: i for i, name in enumerate(names) if _POINT not in name}
 
 
+def find_push_target(targets: Mapping[str, int], point: str) -> int:
+    """Index of a push point or link among ``push_targets``.
+
+    Raises:
+        ValueError: if there is none of this name.
+    """
+    if point not in targets:
+        raise ValueError(
+            f"point must be a push point or a link, one of {', '.join(targets)}; got {point!r}."
+        )
+    return targets[point]
+
+
+def joint_range(model: mujoco.MjModel, robot: Robot) -> Tensor:
+    """Of each joint ``(J, 2)`` float32 [rad]."""
+    ranges = [model.joint(name).range for name in robot.joints]
+    return torch.from_numpy(np.stack(ranges)).float()
+
+
+def actuator_order(model: mujoco.MjModel, robot: Robot) -> slice | Tensor:
+    """Joints in the order of the model's actuators; all as they are if it is the same."""
+    order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
+    return slice(None) if order == sorted(order) else torch.tensor(order)
+
+
 def push_point_bodies(model: mujoco.MjModel) -> dict[str, int]:
     """Index of the massless body of every push point, by name."""
     names = [model.body(i).name for i in range(model.nbody)]

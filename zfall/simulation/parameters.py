@@ -14,6 +14,7 @@ from torchrl.data import Composite, Unbounded
 from zfall.robots import GRAVITY, Robot
 from zfall.robots.servos import Servo
 from zfall.simulation.model import push_point_bodies
+from zfall.simulation.servo_fields import ServoFields
 
 # What the physics can bear; parameters that are not named here may be any number.
 RANGES = {
@@ -24,10 +25,13 @@ RANGES |= dict.fromkeys(
     (
         *("payload", "floor_friction", "foot_friction", "joint_friction_loss", "joint_damping"),
         *("joint_armature", "servo_stiffness", "servo_torque_limit", "battery_voltage"),
+        *("load_friction", "supply_resistance"),
     ),
     (0.0, math.inf),
 )
 ANY_NUMBER = (-math.inf, math.inf)
+OF_DYNAMICS = ("load_friction", "supply_resistance")
+OF_SERVOS = {"servo_stiffness", "servo_torque_limit", "battery_voltage", "joint_zero_offset"}
 
 Array = NDArray[Any]
 
@@ -51,7 +55,11 @@ class PhysicsParameters:
     battery_voltage      1       share of the nominal voltage: a factor on both (1)
     joint_zero_offset    J       what the encoder reads at angle 0 [rad] (0)
     slope                2       angle by which the floor falls along x and y [rad] (0)
+    load_friction        J       factor on what load adds to the dry friction (1)
+    supply_resistance    1       between the battery and all servos [Ohm] (0)
     ==================== ======= ====================================================
+
+    The last two are there with ``servo_dynamics`` alone, see ``ServoDynamics``.
 
     On a slope gravity turns and the floor stays: heights and tilts are measured from the floor.
 
@@ -60,6 +68,7 @@ class PhysicsParameters:
         robot: the robot.
         num_envs: number of worlds N.
         servos: those that the model was compiled with, if they are not the MJCF's.
+        servo_dynamics: whether they have ``ServoDynamics``.
 
     Attributes:
         ranges: smallest and largest value of parameters, by name: ``RANGES``, and of the voltage
@@ -72,7 +81,9 @@ class PhysicsParameters:
         robot: Robot,
         num_envs: int,
         servos: Mapping[str, Servo] | None = None,
+        servo_dynamics: bool = False,
     ):
+        self._servos = servos
         self.ranges = RANGES | ({"battery_voltage": _voltages(servos)} if servos else {})
         self.push_points = push_point_bodies(model)
         soles = [int(model.sensor(f"feet_position/{foot}").objid[0]) for foot in robot.feet]
@@ -85,11 +96,10 @@ class PhysicsParameters:
         self._not_foot = np.flatnonzero(~np.isin(model.geom_bodyid, feet))
         joints = [model.joint(name) for name in robot.joints]
         self._dof = np.array([int(joint.dofadr[0]) for joint in joints])
-        self._actuator = np.array([model.actuator(name).id for name in robot.joints])
+        self._servo_fields = ServoFields(model, robot.joints)
         fields = (
-            *("body_mass", "body_inertia", "body_ipos", "geom_friction", "dof_frictionloss"),
-            *("dof_damping", "dof_armature", "actuator_gainprm", "actuator_biasprm"),
-            "actuator_forcerange",
+            *("body_mass", "body_inertia", "body_ipos", "geom_friction"),
+            *("dof_damping", "dof_armature"),
         )
         self._nominal = {name: getattr(model, name).copy() for name in fields}
         size, links = len(robot.joints), len(moving)
@@ -98,6 +108,8 @@ class PhysicsParameters:
         ones |= dict.fromkeys((*joint_factors, "servo_stiffness", "servo_torque_limit"), size)
         zeros = {"com_offset": 3 * links, "payload": len(self.push_points)}
         zeros |= {"joint_zero_offset": size, "slope": 2}
+        if servo_dynamics:
+            ones["load_friction"], zeros["supply_resistance"] = size, 1
         self.values = {name: torch.ones(num_envs, width) for name, width in ones.items()}
         self.values["floor_friction"] *= float(model.geom("floor").friction[0])
         self.values["foot_friction"] *= float(model.geom_friction[self._foot[0], 0])
@@ -121,6 +133,10 @@ class PhysicsParameters:
         index, changed = rows.nonzero()[:, 0], set()
         places = index.numpy()
         for name, value in values.items():
+            if name in OF_DYNAMICS and name not in self.values:
+                raise ValueError(
+                    f"{name} must go with env.base_env.servo_dynamics=true, which needs servos."
+                )
             if name not in self.values:
                 raise ValueError(
                     f"physical parameters must be of {', '.join(self.values)}, got {name!r}."
@@ -138,6 +154,9 @@ class PhysicsParameters:
                     f"{name} must be finite and within [{low:.3g}, {high:.3g}], "
                     f"got {new[~sound][0]:.3g}."
                 )
+            if name == "supply_resistance" and new.any():
+                for servo in (self._servos or {}).values():
+                    servo.need("stall_current")
             if not np.array_equal(new, old.numpy()[places]):
                 changed.add(name)  # a new tensor: others may hold the old one
                 self.values[name] = old.index_copy(0, index, torch.from_numpy(new))
@@ -181,28 +200,16 @@ class PhysicsParameters:
             friction = nominal("geom_friction")
             friction[:, self._not_foot, 0] = value("floor_friction")  # the larger of two counts
             friction[:, self._foot, 0] = value("foot_friction")
-        for name, field in (
-            ("joint_friction_loss", "dof_frictionloss"),
-            ("joint_damping", "dof_damping"),
-            ("joint_armature", "dof_armature"),
-        ):
+        if "joint_friction_loss" in names:
+            fields |= self._servo_fields.friction(value("joint_friction_loss"))
+        for name, field in (("joint_damping", "dof_damping"), ("joint_armature", "dof_armature")):
             if name in names:
                 nominal(field)[:, self._dof] *= value(name)
-        if names & {
-            "servo_stiffness",
-            "servo_torque_limit",
-            "battery_voltage",
-            "joint_zero_offset",
-        }:
-            gain, bias = nominal("actuator_gainprm"), nominal("actuator_biasprm")
+        if names & OF_SERVOS:
             voltage = value("battery_voltage")
-            factor = value("servo_stiffness") * voltage
-            gain[:, self._actuator, 0] *= factor
-            bias[:, self._actuator, 1] *= factor
-            # The servo compares its target with what the encoder reads.
-            bias[:, self._actuator, 0] = -gain[:, self._actuator, 0] * value("joint_zero_offset")
+            stiffness = value("servo_stiffness") * voltage
             limit = value("servo_torque_limit") * voltage
-            nominal("actuator_forcerange")[:, self._actuator] *= limit[..., None]
+            fields |= self._servo_fields.actuators(stiffness, limit, value("joint_zero_offset"))
         if "slope" in names:
             fields["gravity"] = GRAVITY * _downhill(torch.from_numpy(value("slope"))).numpy()
         return fields

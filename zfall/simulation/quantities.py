@@ -100,6 +100,11 @@ BALL = (
     Quantity(("ball", "position"), (3,), "m, world axes", "center of the ball, if any", END),
     Quantity(("ball", "velocity"), (3,), "m/s, world axes", "of its center", END),
 )
+SERVOS = (  # with ``servo_dynamics``
+    Quantity("battery_voltage", (1,), "V", "of the battery without load", END),
+    Quantity("supply_voltage", (1,), "V", "what servos have of it in the coming step", END),
+    Quantity("servo_temperature", ("J",), "deg C", "windings, if their constants are known", END),
+)
 
 NAMES = tuple(str(quantity.name) for quantity in QUANTITIES)
 UNITS = {str(quantity.name): quantity.unit for quantity in QUANTITIES}
@@ -125,15 +130,24 @@ def needed_sensors(robot: Robot) -> dict[str, int]:
     return sizes
 
 
-def observation_spec(robot: Robot, num_envs: int, *, with_ball: bool) -> Composite:
-    """Of all quantities ``(N, ...)``."""
+def observation_spec(robot: Robot, num_envs: int, more: Iterable[Quantity] = ()) -> Composite:
+    """Of all quantities ``(N, ...)``, and of ``more``."""
     spec = Composite(shape=(num_envs,))
-    for quantity in (*QUANTITIES, FLAG, *(BALL if with_ball else ())):
+    for quantity in (*QUANTITIES, FLAG, *more):
         shape = (num_envs, *quantity.size(robot))
         flag = quantity.dtype == torch.bool
         spec[quantity.name] = (
             Binary(shape[-1], shape=shape, dtype=torch.bool) if flag else Unbounded(shape)
         )
+    return spec
+
+
+def with_substeps(spec: Composite, keys: Iterable[str], substeps: int) -> Composite:
+    """A spec that also has ``("substeps", key)`` ``(N, S, ...)`` of some of its keys."""
+    spec = spec.clone()
+    for key in keys:
+        num, *shape = spec[key].shape
+        spec["substeps", key] = Unbounded((num, substeps, *shape))
     return spec
 
 
@@ -153,7 +167,7 @@ def done_spec(num_envs: int) -> Composite:
     )
 
 
-def markdown_table(quantities: Iterable[Quantity] = (*QUANTITIES, FLAG, *BALL)) -> str:
+def markdown_table(quantities: Iterable[Quantity] = (*QUANTITIES, FLAG, *BALL, *SERVOS)) -> str:
     """The table of ``docs/reference/quantities.md``."""
     rows = [("key", "shape", "unit", "content", "age"), ("---",) * 5]
     for q in quantities:

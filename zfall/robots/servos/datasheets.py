@@ -35,6 +35,7 @@ STS3250 = Servo(
     voltage_range=(6.0, 12.6),
     stall_torque=50 * 0.0980665,  # 50 kg cm
     no_load_speed=math.tau / 6 / 0.133,  # 0.133 s for 60 degrees
+    stall_current=3.96,  # assumed: a motor without losses in its gears has it with this line
     backlash=math.radians(0.7),  # public test; the sheet says at most 0.5 degrees
     kp=32,
     duty_per_radian=0.16293639 / 0.97,  # published identification: error gain over largest duty

@@ -4,6 +4,12 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, NoReturn
 
+from zfall.robots.servos.friction import gear_friction
+
+LOAD_FRICTION = (  # the constants of ``gear_friction``
+    *("motor_load_friction", "external_load_friction", "stribeck_load_friction"),
+    *("stribeck_speed", "stribeck_exponent"),
+)
 _POSITIVE = ("voltage", "stall_torque", "no_load_speed", "kp", "duty_per_radian", "encoder_steps")
 
 
@@ -197,24 +203,14 @@ class Servo:
         return math.tau / self.encoder_steps
 
     def gear_friction(self, motor_torque: float, external_torque: float, speed: float) -> float:
-        """Largest dry friction under load [N m].
-
-        With the shares m and e of the motor's torque M and of the torque E from outside, both
-        positive in the same sense, and s of the latter at rest::
-
-            friction + |e E - m M| + s |E| exp(-|speed / stribeck_speed| ** stribeck_exponent)
+        """Largest dry friction under load, ``friction`` and what ``friction.gear_friction`` adds.
 
         Raises:
-            ValueError: if a share is not known.
-
-        Source: Duclusaud and Passault, "Extended friction models for the physics simulation of
-        servo actuators", arXiv 2410.08650, model M6 without its quadratic terms.
+            ValueError: if a constant of the friction is not known.
         """
-        away = abs(speed / self.need("stribeck_speed")) ** self.need("stribeck_exponent")
-        at_rest = self.need("stribeck_load_friction") * abs(external_torque) * math.exp(-away)
-        lost = self.need("external_load_friction") * external_torque
-        lost -= self.need("motor_load_friction") * motor_torque
-        return self.need("friction") + abs(lost) + at_rest
+        constants = {name: self.need(name) for name in LOAD_FRICTION}
+        added = gear_friction(motor_torque, external_torque, speed, **constants)
+        return self.need("friction") + float(added)
 
     def copper_loss(self, torque: float) -> float:
         """Heat in the winding while the motor gives a torque [W].
