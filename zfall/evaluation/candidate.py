@@ -13,8 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 from zfall.configs import compose_config, plain_containers
 from zfall.envs import tables
 from zfall.envs.tables import changed, contents_of, robot_of
+from zfall.envs.worlds import in_world, privileged
 from zfall.evaluation.baselines import baseline_names, load_baseline, passive
-from zfall.evaluation.battery import starts_and_pushes
+from zfall.evaluation.battery import battery_env, starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
 from zfall.files import written_whole
@@ -72,11 +73,22 @@ class Candidate:
             raise ValueError(f"keep must not name {name}: a battery has its own starts and pushes.")
         return replace(self, env_cfg=tables.keep(self.env_cfg, names), kept=tuple(names))
 
+    def known(self, battery: Battery) -> dict[str, Any]:
+        """What a summary says of it in a battery with a world of its own.
+
+        ``privileged``: what its policy sees that this world's sensors do not measure.
+        """
+        if battery.world is None:
+            return {}
+        if self.actor is None:
+            return {"privileged": []}
+        return {"privileged": privileged(battery_env(battery, self.env_cfg, 1)[0])}
+
     def conditions(self, battery: Battery, *, seed: int) -> dict[str, Any]:
         """All that the outcomes follow from: results under the same conditions are the same."""
         config: dict[str, Any] = strict(
             {
-                "env": OmegaConf.to_container(self.env_cfg, resolve=True),
+                "env": OmegaConf.to_container(in_world(self.env_cfg, battery.world), resolve=True),
                 "battery": {battery.name: asdict(battery)},
             }
         )

@@ -50,6 +50,10 @@ class Ended:
 class Follower(Protocol):
     """Adds columns to ``trials.csv``; made for each chunk of trials as ``Follower(env)``.
 
+    It may also have a static method ``summary(trials)``, which takes the finished trials with all
+    columns and returns what ``summary.json`` says of its own; a data frame among that is also
+    written as a table of its name, which the report shows.
+
     Attributes:
         outcomes: which of its columns are outcomes, true or false: they stand next to
             ``recovered`` and ``fell``, and say in one word how a trial ended.

@@ -109,6 +109,11 @@ def _battery(folder: Path) -> Section:
         f"{summary['seed']}; falls without a push: {summary['control_falls']} of "
         f"{summary['control_n']}."
     ]
+    if summary.get("privileged"):
+        notes.append(
+            "No sensor of this robot measures what the policy sees of "
+            f"{', '.join(summary['privileged'])}: these are the true values."
+        )
     tables = []
     if "i50_mean" in summary:
         notes.append(

@@ -1,8 +1,9 @@
 """What a battery found of a policy, and the files in which it is kept."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pandas as pd
@@ -10,10 +11,13 @@ from rich.console import Console
 
 from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
+from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.writers import Written, write_summary, write_table
 from zfall.robots import Robot
 from zfall.trust import texts_of_file
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,7 @@ class Result:
         trials: one a row, with their outcomes; the columns are those of ``trials.csv``.
         summary: headline figures, as in ``summary.json``.
         background: trials of ``pose_hold`` to be drawn with the policy's, if there are any.
+        tables: of the battery's measures, by name.
     """
 
     battery: Battery
@@ -35,6 +40,7 @@ class Result:
     trials: pd.DataFrame
     summary: dict[str, Any]
     background: pd.DataFrame | None = None
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
 
 def result_of(
@@ -43,10 +49,27 @@ def result_of(
     robot: Robot,
     trials: pd.DataFrame,
     background: pd.DataFrame | None = None,
+    known: Mapping[str, Any] = NOTHING,
 ) -> Result:
-    """The result of these trials, summed up as the battery's kind does."""
-    summary = kind_of(battery).summary(battery, trials)
-    return Result(battery, name, robot, trials, summary, background)
+    """The result of these trials, summed up as the battery's kind and measures do.
+
+    Args:
+        battery: the definition.
+        name: of the policy.
+        robot: of its env.
+        trials: with their outcomes.
+        background: those of ``pose_hold``.
+        known: what the summary says in addition.
+    """
+    summary, tables = kind_of(battery).summary(battery, trials) | dict(known), {}
+    for follower in followers_of(battery):
+        if not hasattr(follower, "summary"):
+            continue
+        for key, value in follower.summary(trials).items():
+            if isinstance(value, pd.DataFrame):
+                tables[key], value = value, value.to_dict("records")
+            summary[key] = value
+    return Result(battery, name, robot, trials, summary, background, tables)
 
 
 def write_results(result: Result, folder: Path, console: Console) -> None:
@@ -59,6 +82,8 @@ def write_results(result: Result, folder: Path, console: Console) -> None:
     """
     write_summary(folder, result.summary)
     written = kind_of(result.battery).write(result, folder)
+    for name, table in result.tables.items():
+        written.files += write_table(folder, name, table)
     _print(written, console)
     summary = result.summary
     console.print(f"falls without a push {summary['control_falls']} of {summary['control_n']}")

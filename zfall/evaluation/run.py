@@ -85,7 +85,8 @@ def evaluate(
             keep=keep,
         )
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)
-    return result_of(given, candidate.label, candidate.robot, trials)
+    known = candidate.known(given)
+    return result_of(given, candidate.label, candidate.robot, trials, known=known)
 
 
 def trials_of(
@@ -188,10 +189,11 @@ def run_or_read(
         console: to print on.
         read: whether results that are there already under the same conditions are read.
     """
+    known = candidate.known(battery)
     conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:
         console.print(f"{battery.name} of {candidate.name}: read from {folder}/trials.csv")
-        return result_of(battery, candidate.label, candidate.robot, done)
+        return result_of(battery, candidate.label, candidate.robot, done, known=known)
     only = left_out(OmegaConf.select(candidate.env_cfg, "training_only", default={}))
     gone = ", ".join(dict.fromkeys([*only, *starts_and_pushes(candidate.env_cfg)]))
     console.print(
@@ -209,7 +211,7 @@ def run_or_read(
     write_trials(folder / "trials.csv", trials, conditions)
     remove_trials(folder / "trials.partial.csv")
     shutil.rmtree(folder / "rounds", ignore_errors=True)
-    result = result_of(battery, candidate.label, candidate.robot, trials, background)
+    result = result_of(battery, candidate.label, candidate.robot, trials, background, known)
     write_results(result, folder, console)
     return result
 

@@ -20,6 +20,27 @@ HIP = 0.25  # of a hip's pitch or roll, away from where it was at the push [rad]
 MOMENTUM = 0.05  # angular momentum about the center of mass, in units of m h0 sqrt(g h0)
 
 
+class Footsteps:
+    """Sees feet come down at least 2 cm from where they had left the floor.
+
+    Args:
+        worlds: number N of them.
+    """
+
+    def __init__(self, worlds: int):
+        self._contact = torch.ones(worlds, 2, dtype=torch.bool)  # in the last step
+        self._left: Tensor | None = None  # where they stood last
+
+    def update(self, td: TensorDictBase) -> Tensor:
+        """Takes in a control step; returns which feet have just stepped ``(N, 2)`` bool."""
+        contact, feet = td["feet_contact"], td["feet_position"][..., :2]
+        stood = feet if self._left is None else self._left
+        landed = contact & ~self._contact & ((feet - stood).norm(dim=-1) > STRIDE)
+        self._contact = contact
+        self._left = torch.where(contact[..., None], feet, stood)
+        return landed
+
+
 class Strategies:
     """Follows the feet, hips and momenta from the push until a trial ends.
 
@@ -55,30 +76,19 @@ class Strategies:
         self.seen = torch.zeros(n, dtype=torch.bool)
         flags = ("stepping", "jumping", "foot_tilting", "hip", "angular_momentum")
         self.flags = {name: torch.zeros(n, dtype=torch.bool) for name in flags}
-        # At the push, but for the last two: contact in the last step, and where it was last.
-        self._com, self._hip = torch.zeros(n, 2), torch.zeros(n, len(self.hips))
-        self._contact = torch.ones(n, 2, dtype=torch.bool)
-        self._left: Tensor | None = None
+        self._com, self._hip = torch.zeros(n, 2), torch.zeros(n, len(self.hips))  # at the push
+        self._feet = Footsteps(n)
 
     def before(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step before the push, the last of which is what it disturbs."""
         self._com, self._hip = td["com_position"][:, :2], td["joint_position"][:, self.hips]
-        self._follow(td)
-
-    def _follow(self, td: TensorDictBase) -> Tensor:
-        """Contacts and where feet last stood; returns how far a foot is from there ``(N, 2)``."""
-        contact, feet = td["feet_contact"], td["feet_position"][..., :2]
-        stood = feet if self._left is None else self._left
-        self._contact = contact
-        self._left = torch.where(contact[..., None], feet, stood)
-        return (feet - stood).norm(dim=-1)
+        self._feet.update(td)
 
     def update(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step, of trials up to their fall."""
         counted, since_push = now.upto_fall, now.since_push
         com, contact = td["com_position"][:, :2], td["feet_contact"]
-        hip, flew = td["joint_position"][:, self.hips], ~self._contact
-        landed = contact & flew & (self._follow(td) > STRIDE)
+        hip, landed = td["joint_position"][:, self.hips], self._feet.update(td)
         self.seen |= counted
         self.steps += torch.where(counted, landed.sum(-1), 0)
         away = (com - self._com).norm(dim=-1)

@@ -1,0 +1,70 @@
+"""What was drawn in trials, and what of it explains failures, by hand."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from scipy.stats import fisher_exact
+from tensordict import TensorDict
+
+from tests.evaluation.moments import ENDED, moment
+from zfall.evaluation.draws import Draws, success_by_draw
+
+
+def trials(drawn: list[float], recovered: list[bool], **more: list[float]) -> pd.DataFrame:
+    columns = {f"drawn/{name}": values for name, values in more.items()}
+    table = {"impulse": 0.3, "drawn/latency": drawn, "recovered": recovered, **columns}
+    return pd.DataFrame(table)
+
+
+def test_a_trial_keeps_what_it_begins_with(make_base):
+    draws = Draws(make_base(num_envs=1))
+    for step in range(2):  # the second is a later draw
+        params = {
+            "foot_friction": torch.tensor([[0.5 + step]]),
+            "com_offset": torch.tensor([[3.0, 4.0, 0.0, 0.0]]) + step,
+        }
+        draws.before(TensorDict({"params": params}, [1]), moment([True], -1.0))
+    table = draws.table(ENDED)
+    assert table["drawn/foot_friction"].item() == 0.5
+    assert table["drawn/com_offset"].item() == pytest.approx((25 / 4) ** 0.5)
+
+
+def test_without_draws_there_is_no_table(make_base):
+    draws = Draws(make_base(num_envs=1))
+    draws.before(TensorDict({}, [1]), moment([True], -1.0))
+    assert draws.table(ENDED) == {}
+    assert Draws.summary(pd.DataFrame({"impulse": [0.1], "recovered": [True]})) == {}
+
+
+def test_success_is_that_of_thirds_of_the_pushed_trials():
+    """Nine trials, of which those with the largest values fail; a tenth was not pushed."""
+    table = trials([*range(9), 100.0], [True] * 5 + [False, True, False, False, False])
+    table["impulse"] = [0.3] * 9 + [0.0]
+    (row,) = success_by_draw(table).to_dict("records")
+    assert row["parameter"] == "latency"
+    assert (row["smallest"], row["largest"]) == (0.0, 8.0)
+    assert (row["low"], row["middle"], row["high"]) == pytest.approx((1.0, 2 / 3, 1 / 3))
+
+
+def test_what_explains_failures_comes_first():
+    rng = np.random.default_rng(0)
+    latency, friction = rng.random((2, 600))
+    table = trials(latency.tolist(), (latency < 0.5).tolist(), friction=friction.tolist())
+    found = success_by_draw(table)
+    assert found["parameter"].tolist() == ["latency", "friction"]
+    assert found["p"][0] < 1e-6 < 0.01 < found["p"][1]
+    assert found["low"][0] == 1.0
+    assert found["high"][0] == 0.0
+
+
+def test_equal_values_leave_a_third_empty_and_a_constant_has_no_row():
+    table = trials([0.0] * 20 + [1.0] * 20, [True] * 10 + [False] * 30, same=[2.0] * 40)
+    (row,) = success_by_draw(table).to_dict("records")
+    assert (row["low"], row["high"]) == (0.5, 0.0)
+    assert np.isnan(row["middle"])
+    assert row["p"] == pytest.approx(fisher_exact([[10, 0], [10, 20]]).pvalue, abs=2e-3)
+
+
+def test_where_all_trials_end_alike_nothing_explains_it():
+    assert success_by_draw(trials([*range(9)], [True] * 9))["p"].tolist() == [1.0]

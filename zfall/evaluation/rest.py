@@ -1,0 +1,145 @@
+"""What the robot feels while nobody pushes it: loads, heat, and how much it fidgets."""
+
+from typing import Any, ClassVar
+
+import pandas as pd
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.humanoid import HumanoidEnv
+from zfall.evaluation.effort import SATURATED
+from zfall.evaluation.followers import Ended, Moment
+from zfall.evaluation.metrics import spectral_smoothness
+from zfall.evaluation.strategies import Footsteps
+from zfall.robots.servos import Servo
+
+STOOD = 600.0  # time for which the load lasts, for the temperature [s]
+_THERMAL = ("thermal_resistance", "thermal_time_constant", "stall_current", "friction")
+FIGURES = (
+    *("rest_steps", "rest_torque_rms", "rest_load", "rest_at_limit", "rest_joint_speed"),
+    *("rest_target_smoothness", "peak_servo_temperature"),
+)
+
+
+class Rest:
+    """Follows trials without a push, from the first step to the end or the fall.
+
+    ``rest_steps``: times that a foot comes down at least 2 cm from where it had left the floor.
+    ``rest_torque_rms`` [N m]: root mean square over time and joints, and of each joint,
+    ``rest_torque_rms/JOINT``. ``rest_load/JOINT``: the same over the continuous rating of the
+    joint's servo, where one is published; ``rest_load``: the largest of these. ``rest_at_limit``:
+    share of torques above 95 % of the servo's largest at the trial's voltage.
+    ``rest_joint_speed`` [rad/s]: root mean square. ``rest_target_smoothness`` [rad]:
+    ``spectral_smoothness`` of the joint targets; NaN if the robot fell.
+    ``peak_servo_temperature`` [degree Celsius]: of the warmest winding after ten minutes of this
+    load, from 25 degrees; NaN where a servo's thermal constants are not published.
+
+    All are NaN in a trial with a push.
+
+    Args:
+        env: the base env.
+    """
+
+    outcomes: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, env: HumanoidEnv):
+        n, self.joints = env.num_envs, env.robot.joints
+        self.servos: list[Servo | None] = [(env.servos or {}).get(name) for name in self.joints]
+        model = env.simulation.model
+        ranges = [model.actuator(joint).forcerange for joint in self.joints]
+        self.limit = torch.tensor([float(high) for _, high in ranges])
+        self.parameters, self.dt = env.parameters, env.control_dt
+        self.time, self.limited, self.steps = torch.zeros(n), torch.zeros(n), torch.zeros(n)
+        self.torque, self.speed = torch.zeros(n, len(self.joints)), torch.zeros(n)
+        self.pushed = torch.zeros(n, dtype=torch.bool)
+        self._feet = Footsteps(n)
+        self._targets: list[Tensor] = []
+
+    def before(self, td: TensorDictBase, now: Moment) -> None:
+        """Takes in a control step."""
+        self.update(td, now)
+
+    def update(self, td: TensorDictBase, now: Moment) -> None:
+        """Takes in a control step, of trials up to their fall."""
+        share, torque = now.upto_fall.float(), td["joint_torque"]
+        self.pushed |= (td["push", "force"] != 0).any(-1)
+        values = self.parameters.values
+        limit = self.limit * values["battery_voltage"] * values["servo_torque_limit"]
+        self.time += share
+        self.torque += share[:, None] * torque.square()
+        self.limited += share * (torque.abs() > SATURATED * limit).float().mean(-1)
+        self.speed += share * td["joint_velocity"].square().mean(-1)
+        self.steps += share * self._feet.update(td).sum(-1)
+        self._targets.append(td["target"].clone())
+
+    def table(self, ended: Ended) -> dict[str, Tensor]:
+        """Columns ``(N,)``."""
+        torque = (self.torque / self.time[:, None]).sqrt()
+        smooth = spectral_smoothness(torch.stack(self._targets, 1), self.dt)
+        loads = {
+            joint: torque[:, place] / servo.continuous_torque
+            for place, (joint, servo) in enumerate(zip(self.joints, self.servos, strict=True))
+            if servo is not None and servo.continuous_torque
+        }
+        nothing = torch.full_like(self.time, torch.nan)
+        columns = {
+            "rest_steps": self.steps,
+            "rest_torque_rms": torque.square().mean(-1).sqrt(),
+            "rest_load": torch.stack(list(loads.values())).amax(0) if loads else nothing,
+            "rest_at_limit": self.limited / self.time,
+            "rest_joint_speed": (self.speed / self.time).sqrt(),
+            "rest_target_smoothness": torch.where(ended.fell, torch.nan, smooth),
+            "peak_servo_temperature": self._warmest(torque),
+            **{f"rest_torque_rms/{joint}": torque[:, i] for i, joint in enumerate(self.joints)},
+            **{f"rest_load/{joint}": load for joint, load in loads.items()},
+        }
+        return {name: torch.where(self.pushed, torch.nan, x) for name, x in columns.items()}
+
+    def _warmest(self, torque: Tensor) -> Tensor:
+        """Largest temperature of a winding ``(N,)`` under torques ``(N, J)``, NaN if unknown."""
+        hottest = torch.full_like(self.time, -torch.inf)
+        for place, servo in enumerate(self.servos):
+            if servo is None or any(getattr(servo, name) is None for name in _THERMAL):
+                return torch.full_like(self.time, torch.nan)
+            warm = [servo.temperature(float(each), STOOD) for each in torque[:, place]]
+            hottest = torch.maximum(hottest, torch.tensor(warm))
+        return hottest
+
+    @staticmethod
+    def summary(trials: pd.DataFrame) -> dict[str, Any]:
+        """Means over the control arm; ``rest``, their spread over draws; ``rest_servos``."""
+        control = trials[trials["impulse"] == 0]
+        rows = [
+            {
+                "figure": name,
+                "mean": float(control[name].mean()),
+                **{
+                    f"{share} %": float(control[name].quantile(share / 100))
+                    for share in (10, 50, 90)
+                },
+                "largest": float(control[name].max()),
+            }
+            for name in FIGURES
+        ]
+        means = {str(row["figure"]): row["mean"] for row in rows}
+        return {**means, "rest": pd.DataFrame(rows), "rest_servos": _of_servos(control)}
+
+
+def _of_servos(control: pd.DataFrame) -> pd.DataFrame:
+    """One row per joint: root mean square torque [N m], and its share of the rating."""
+    prefix = "rest_torque_rms/"
+    names = [str(name).removeprefix(prefix) for name in control if str(name).startswith(prefix)]
+
+    def over_trials(column: str) -> float:
+        if column not in control:
+            return float("nan")
+        return float(control[column].pow(2).mean() ** 0.5)
+
+    return pd.DataFrame(
+        {
+            "joint": names,
+            "torque_rms": [over_trials(prefix + name) for name in names],
+            "load": [over_trials(f"rest_load/{name}") for name in names],
+        }
+    )
