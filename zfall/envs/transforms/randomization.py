@@ -127,7 +127,8 @@ def draw(
 ) -> Tensor:
     """Values ``(N, size)`` from a distribution as in ``DomainRandomization``.
 
-    Those of a normal one are cut to ``bounds``. What is not in ``rows`` ``(N,)`` means nothing.
+    They are cut to ``bounds``, as those of a normal one need. What is not in ``rows`` ``(N,)``
+    means nothing.
     """
     (kind,) = (kind for kind in _KINDS if kind in distribution)
     width = 1 if distribution.get("shared", False) else size
@@ -135,7 +136,6 @@ def draw(
     first, second = (per_world(x, 2) for x in distribution[kind])
     if kind == "normal":
         values = first + second * stream.normal((width,), rows)
-        values = values.clamp(*bounds)
     else:
         u = stream.uniform((width,), rows)
         if kind == "uniform":
@@ -146,7 +146,7 @@ def draw(
     if clip is not None:
         low, high = (torch.as_tensor(per_world(x, 2)) for x in clip)
         values = torch.clamp(values, low, high)
-    return values.float().expand(len(rows), size)
+    return values.float().clamp(*bounds).expand(len(rows), size)
 
 
 def _check(name: str, distribution: Mapping[str, Any], bounds: tuple[float, float]) -> None:
