@@ -2,9 +2,13 @@
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.testing import assert_close
+from torchrl.envs import TransformedEnv
 
 from zfall.envs.transforms.actions import Backlash, Deadband, JointPositionTarget
+from zfall.robots import ZEROTH01
+from zfall.robots.servos import STS3215, STS3250
 
 
 def loop(base, send, transform, ways: list[float]) -> torch.Tensor:
@@ -93,3 +97,26 @@ def test_bounds_of_the_play_must_be_in_order(make_base):
     for width, rule in (([0.02, 0.01], "have the smaller number first"), ([-1, 1], "not be neg")):
         with pytest.raises(ValueError, match=f"width must {rule}.*got"):
             Backlash(make_base(), width=width)
+
+
+@pytest.mark.parametrize("servo", [STS3215, STS3250])
+def test_backlash_is_play_at_the_joint(make_base, servo):
+    """From below and from above the joint comes to rest at two places, the play apart.
+
+    Dry friction would hold it elsewhere, and the robot floats, so that nothing loads the joint.
+    """
+    base = make_base(num_envs=1, servos=dict.fromkeys(ZEROTH01.joints, servo))
+    base.simulation.model.opt.gravity[:] = 0
+    base.set_physics_params(TensorDict({"joint_friction_loss": torch.zeros(1, 20)}, [1]))
+    env = TransformedEnv(base, Backlash(base, width=servo.backlash))
+    start = torch.zeros(1, 3).index_fill_(1, torch.tensor([2]), 2.0)  # in the air [m]
+    td = env.reset(TensorDict({("start", "base_position"): start}, [1]))
+    joint, rest = ZEROTH01.joints.index("left_gripper_roll"), []
+    for from_where in (0.0, 0.4):
+        for angle, steps in ((from_where, 20), (0.2, 30)):
+            for _ in range(steps):
+                target = base.stand_position[None].clone()
+                target[0, joint] = angle
+                td = env.step(td.set("target", target))["next"]
+        rest.append(td["joint_position"][0, joint].item())
+    assert rest[1] - rest[0] == pytest.approx(servo.backlash, rel=0.02)
