@@ -72,7 +72,8 @@ def main(cfg: DictConfig) -> None:
     console.print(f"at {fitted.voltage:g} V and kp {fitted.kp}: {law}")
     for log, rms in zip(logs, found.rms(logs), strict=True):
         share = rms / sheet.resolution
-        console.print(f"{log.name}: {1e3 * rms:.2f} mrad rms off, {share:.1f} encoder steps")
+        more = ": more than the law has, do not trust the intervals" if share > 2 else ""
+        console.print(f"{log.name}: {1e3 * rms:.2f} mrad rms off, {share:.1f} encoder steps{more}")
     write_estimates(found.estimates, output / "estimates.csv")
     fit_plot(logs, found.positions, output / "fit.png", resolution=sheet.resolution)
     (output / "servo").mkdir(exist_ok=True)
@@ -104,11 +105,9 @@ def loads_of(cfg: DictConfig, count: int) -> "list[Load]":
 
     columns = {}
     for key in EACH:
-        values = list(cfg[key]) if is_list(cfg[key]) else [cfg[key]] * count
+        values = [*cfg[key]] if is_list(cfg[key]) else [cfg[key]] * count
         if len(values) != count:
-            raise ValueError(
-                f"{key} must be a number or one for each of {count} logs, got {values}."
-            )
+            raise ValueError(f"{key} must be one number or {count}, as the logs, got {values}.")
         columns[key] = values
     return [Load(**{key: columns[key][i] for key in EACH}) for i in range(count)]
 

@@ -43,7 +43,7 @@ def test_a_log_becomes_a_set_of_servos_that_the_robot_takes(pendulum, tmp_path):
 
 @pytest.mark.parametrize(("options", "message"), [
     (["log=absent.csv"], "log must be a csv file or a list of them, there is no absent.csv"),
-    (["mass=[0,1]"], r"mass must be a number or one for each of 1 logs, got [0, 1]"),
+    (["mass=[0,1]"], "mass must be one number or 1, as the logs, got [0, 1]"),
     (["mass=1"], "arm must be positive for a mass of 1 kg, got 0"),
     (["sheet.name=STS9"], "sheet: name must be one of STS3250, STS3215, XL330-M288, got 'STS9'"),
     (["sheet.kp=300"], "sheet: kp of the servo STS3250 must be a whole number within [0, 254]"),
