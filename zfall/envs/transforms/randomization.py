@@ -170,7 +170,7 @@ def _check(name: str, distribution: Mapping[str, Any], bounds: tuple[float, floa
     for key, (low, high) in ranges.items():
         if not low <= high:
             raise ValueError(f"{name}.{key} must be [low, high], got {[low, high]}.")
-        least, most = map(float, np.float32((low, high)))  # like the values
+        least, most = np.array([low, high], np.float32).tolist()  # like the values
         if not bounds[0] <= least <= most <= bounds[1]:
             raise ValueError(
                 f"{name}.{key} must be within [{bounds[0]:.3g}, {bounds[1]:.3g}], "

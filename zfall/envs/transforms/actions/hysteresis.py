@@ -1,6 +1,6 @@
 """Commands that small changes do not move."""
 
-from numbers import Real
+from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -52,15 +52,15 @@ class Backlash(Transform):
     ):
         super().__init__(in_keys_inv=["control"], out_keys_inv=["control"])
         needs_env(self, env, "a memory of each world's commands")
-        low, high = (width, width) if isinstance(width, Real) else two_numbers("width", width)
+        several = isinstance(width, Sequence)
+        self.bounds = low, high = two_numbers("width", width if several else [width, width])
         if not low >= 0:
             raise ValueError(f"width must not be negative, got {width}.")
         if not low <= high:
-            raise ValueError(f"width must have the smaller number first, got {list(width)}.")
-        self.width, self.substeps = width, env.substeps
+            raise ValueError(f"width must have the smaller number first, got {width}.")
+        self.width, self.substeps = high, env.substeps
         self.param, self.mirror_signs = param, drawn_mirror(param)
-        drawn = None if isinstance(width, Real) else torch.zeros(env.num_envs, 1)
-        self.register_buffer("drawn", drawn)
+        self.register_buffer("drawn", torch.zeros(env.num_envs, 1) if several else None)
         self.register_buffer("level", env.stand_position.repeat(env.num_envs, 1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -81,7 +81,7 @@ class Backlash(Transform):
         before = targets_before(tensordict, tensordict_reset["joint_position"])
         self.level = torch.where(rows[:, None], before, self.level)
         if self.drawn is not None:
-            low, high = self.width
+            low, high = self.bounds
             u = streams_of(self).uniform((1,), rows)
             self.drawn = torch.where(rows[:, None], low + (high - low) * u, self.drawn)
         return self._show(tensordict_reset)

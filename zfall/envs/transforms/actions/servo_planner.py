@@ -1,7 +1,7 @@
 """The motion planner in a servo's firmware."""
 
 import math
-from numbers import Real
+from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -72,10 +72,10 @@ class ServoPlanner(Transform):
         needs_env(self, env, "a memory of each world's commands")
         if velocity is not None and not velocity > 0:
             raise ValueError(f"velocity must be positive, got {velocity}.")
-        is_drawn = not (acceleration is None or isinstance(acceleration, Real))
+        is_drawn, self.bounds = isinstance(acceleration, Sequence), (0.0, 0.0)
         if acceleration is not None:
-            bounds = acceleration if is_drawn else (acceleration, acceleration)
-            low, high = two_numbers("acceleration", bounds)
+            bounds = acceleration if isinstance(acceleration, Sequence) else [acceleration] * 2
+            self.bounds = low, high = two_numbers("acceleration", bounds)
             if not 0 <= low <= high:
                 raise ValueError(
                     f"acceleration must be positive, or 0 for none, got {acceleration}."
@@ -85,7 +85,7 @@ class ServoPlanner(Transform):
         self.param, self.mirror_signs = param, drawn_mirror(param)
         self.register_buffer("drawn", torch.zeros(env.num_envs, 1) if is_drawn else None)
         self.velocity = math.inf if velocity is None else velocity
-        self.acceleration = _of_servos(env) if acceleration is None else acceleration
+        self.acceleration = _of_servos(env) if acceleration is None else self.bounds[1]
         self.physics_dt, self.substeps = env.physics_dt, env.substeps
         self.register_buffer("position", env.stand_position.repeat(env.num_envs, 1))
         self.register_buffer("speed", torch.zeros(env.num_envs, len(env.stand_position)))
@@ -123,7 +123,7 @@ class ServoPlanner(Transform):
         self.position = torch.where(rows, before, self.position)
         self.speed = torch.where(rows, 0.0, self.speed)
         if self.drawn is not None:
-            low, high = self.acceleration
+            low, high = self.bounds
             u = streams_of(self).uniform((1,), rows[:, 0])
             self.drawn = torch.where(rows, low + (high - low) * u, self.drawn)
         return self._show(tensordict_reset)
