@@ -88,6 +88,7 @@ def test_partial_reset_equals_full_reset_on_its_rows(table, mask, seed):
 @given(TABLES, st.permutations(range(4)), st.integers(0, 99))
 @example(EVERYTHING, [3, 1, 0, 2], 0)
 @example(("velocity", set(TABLE)), [0, 1, 2, 3], 1)
+@example(("position", {"start", "limit"}), [0, 1, 2, 3], 1)  # which another start replaces above
 def test_a_world_is_the_same_in_any_company(table, places, seed):
     """Worlds 1 and 2 of four, elsewhere among six others that begin anew at other times.
 
