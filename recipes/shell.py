@@ -40,6 +40,7 @@ def start(main: Callable[[], None]) -> None:
         return
     os.environ["HYDRA_FULL_ERROR"] = "1"  # else hydra prints errors its own way, on many lines
     logging.getLogger("hydra.utils").setLevel(logging.CRITICAL)  # it also logs what it raises
+    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # tells of each part that is optional
     with one_line_errors(SPOKEN):
         try:
             composed_first(main)
