@@ -449,7 +449,11 @@ def test_advantages_are_normalised_over_what_is_asked(compose_config, over):
 
 @pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
 def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
-    """The error of mirror images after some updates, with and without either way."""
+    """The error of mirror images after some updates, with and without either way.
+
+    Seeds 0, 1 and 2 have 0.15 to 0.18 of it left with the loss and a GRU, 0.11 to 0.14 without
+    memory; after half of the updates it is 0.23 to 0.28 and depends more on the draws.
+    """
     error = {}
     for name in ("none", "loss", "augmentation"):
         learner = Learner(
@@ -457,7 +461,7 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
         )
         if name == "loss":
             learner.losses.auxiliary["auxiliary_losses.symmetry"].coeff = 3.0
-        for _ in range(5):
+        for _ in range(10):
             losses = learner.learn(learner.collect())
         assert ("loss_symmetry" in losses) == (name == "loss")
         measure = Learner(
