@@ -78,7 +78,8 @@ def test_reset_touches_only_its_rows_and_gives_the_new_sensors(model):
 
 def test_saved_state_goes_on_bit_for_bit(model):
     simulation, control = make(model, 4)
-    simulation.step(control)
+    for _ in range(10):  # until feet bear load: the solver has something to begin with
+        simulation.step(control)
     saved = simulation.state_dict()
     simulation.step(control)
     expected = simulation.qpos.clone()
