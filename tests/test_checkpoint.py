@@ -178,6 +178,32 @@ def test_a_missing_key_and_a_value_of_another_kind_are_named(tmp_path, key):
     assert "got int" in text
 
 
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("part", ["actor", "policy", "critic", "optimizer"])
+def test_weights_that_are_no_numbers_are_neither_read_nor_written(tmp_path, part, value):
+    path = tmp_path / "a.pt"
+    broken = {"state": {0: {"w": torch.tensor([1.0, value])}}} if part == "optimizer" else {
+        "net.w": torch.tensor([1.0, value], dtype=torch.float64)
+    }  # fmt: skip
+    torch.save({"format": checkpoint.FORMAT, **CONTENT, part: broken}, path)
+    text = refusal(path)
+    assert f"{part}." in text
+    assert f"w must be finite, got {value}" in text
+    checkpoint.save(path, CONTENT)
+    with pytest.raises(ValueError, match=rf"a\.pt: {part}\..*w must be finite"):
+        checkpoint.save(path, CONTENT | {part: broken})
+    assert equal(checkpoint.load(path)["actor"], CONTENT["actor"])
+
+
+def test_what_envs_and_figures_hold_may_be_infinite(tmp_path):
+    state = {
+        "worlds": [{"least": torch.tensor([torch.inf])}],
+        "run": {"kl": torch.tensor(torch.nan)},
+    }
+    checkpoint.save(tmp_path / "a.pt", CONTENT | state)
+    assert checkpoint.load(tmp_path / "a.pt")["worlds"][0]["least"].isinf()
+
+
 def test_a_key_that_going_on_needs_is_named(tmp_path):
     checkpoint.save(tmp_path / "a.pt", CONTENT)
     assert "must hold critic" in refusal(tmp_path / "a.pt", kinds=checkpoint.TRAINING)

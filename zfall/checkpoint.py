@@ -40,9 +40,11 @@ def save(path: Path, content: dict[str, Any]) -> None:
 
     Raises:
         OSError: if it cannot be written; what was there before is still there.
+        ValueError: if a weight is NaN or infinite, as ``load`` refuses it.
     """
     buffer = io.BytesIO()
     content = {key: value for key, value in content.items() if key not in _ABOUT}
+    _check_weights(content, path, "what was there before is untouched.")
     torch.save({"format": FORMAT, **content, "digest": content_digest(content)}, buffer)
     temporary = path.with_suffix(".tmp")
     try:
@@ -80,7 +82,8 @@ def load(path: Path, kinds: Kinds = POLICY) -> dict[str, Any]:
 
     Raises:
         ValueError: if the file does not exist, is no checkpoint, is of another format, lacks a key
-            or is damaged, or if its config names what ``zfall.trust`` does not allow.
+            or is damaged, if a weight is NaN or infinite, or if its config names what
+            ``zfall.trust`` does not allow.
     """
     content = _read(path)
     for key, kind in kinds.items():
@@ -89,6 +92,7 @@ def load(path: Path, kinds: Kinds = POLICY) -> dict[str, Any]:
         if not isinstance(content[key], kind) or isinstance(content[key], bool):
             got = type(content[key]).__name__
             raise ValueError(f"{path}: {key} must be a {_KINDS[kind]}, got {got}: {_REPAIR}")
+    _check_weights(content, path, _REPAIR)
     if "config" in content:  # whoever builds it builds what is checked here
         config = config_of_file(content["config"], path)
         for key in ("env", "actor") if "config" in kinds else ():
@@ -140,8 +144,19 @@ def _read(path: Path) -> dict[str, Any]:
 
 _TIMES = 8  # so much larger than the file its tensors may be; of ours they are smaller
 _ABOUT = ("format", "digest")  # not of the content
+# What need not be finite: states of envs and of losses, and figures of a run.
+_OPEN = ("worlds", "buffers", "run")
 _REPAIR = "take another copy, or train it again."
 _NOT_READ = f"it is damaged or of another kind: {_REPAIR}"
+
+
+def _check_weights(content: Mapping[str, Any], path: Path, repair: str) -> None:
+    """Refuses networks and optimizers with NaN or infinite values."""
+    learned = {key: value for key, value in content.items() if key not in _OPEN}
+    for key, value in _tensors(learned):
+        if value.is_floating_point() and not (finite := value.isfinite()).all():
+            worst = value[~finite][0].item()
+            raise ValueError(f"{path}: {key.lstrip('.')} must be finite, got {worst}: {repair}")
 
 
 def _check_file(path: Path) -> None:
