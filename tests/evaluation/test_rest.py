@@ -105,6 +105,14 @@ def test_a_pushed_trial_says_nothing_of_rest():
     assert all(value.isnan().all() for value in rest.table(ended([False])).values())
 
 
+def test_a_push_after_the_end_of_a_trial_counts_for_nothing():
+    """It acts on the world while others of the chunk go on, and never on the trial run alone."""
+    rest = Rest(make(LEGS))
+    rest.before(record(), moment([True], -1.0))
+    rest.update(record(push={"force": torch.tensor([[0.0, 1.0, 0.0]])}), moment([False]))
+    assert rest.table(ended([True]))["rest_joint_speed"].item() == 0.0
+
+
 def test_the_summary_is_over_trials_without_a_push():
     columns = {name: [1.0, 3.0, float("nan")] for name in FIGURES}
     joint = {"rest_torque_rms/left_knee_pitch": [3.0, 4.0, float("nan")]}

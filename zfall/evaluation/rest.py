@@ -35,7 +35,7 @@ class Rest:
     ``peak_servo_temperature`` [degree Celsius]: of the warmest winding after ten minutes of this
     load, from 25 degrees; NaN where a servo's thermal constants are not published.
 
-    All are NaN in a trial with a push.
+    All are NaN in a trial that a push began in.
 
     Args:
         env: the base env.
@@ -63,7 +63,7 @@ class Rest:
     def update(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step, of trials up to their fall."""
         share, torque = now.upto_fall.float(), td["joint_torque"]
-        self.pushed |= (td["push", "force"] != 0).any(-1)
+        self.pushed |= (td["push", "force"] != 0).any(-1) & now.counted
         values = self.parameters.values
         limit = self.limit * values["battery_voltage"] * values["servo_torque_limit"]
         self.time += share
