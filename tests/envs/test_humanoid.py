@@ -11,6 +11,7 @@ from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.robots import ZEROTH01, Ball
+from zfall.robots.servos import STS3250
 from zfall.rotations import rotate
 from zfall.simulation.quantities import SUBSTEP_KEYS
 
@@ -290,6 +291,23 @@ def test_saved_env_goes_on_bit_for_bit(make_base):
     other = make_base()
     other.load_state_dict(saved)
     assert torch.equal(other._step(td.clone())["joint_position"], expected)
+
+
+def test_a_state_of_other_servos_is_refused_with_what_differs(make_base, tmp_path):
+    """Also after a file; one from before servos were written down is taken as it was."""
+    published, sold = make_base(1), make_base(1, servos=dict.fromkeys(ZEROTH01.joints, STS3250))
+    softer = dict.fromkeys(ZEROTH01.joints, STS3250) | {"left_knee_pitch": replace(STS3250, kp=22)}
+    torch.save(sold.state_dict(), tmp_path / "state.pt")
+    saved = torch.load(tmp_path / "state.pt", weights_only=True)
+    make_base(1, servos=sold.servos).load_state_dict(saved)
+    with pytest.raises(ValueError, match="same servos, the actuators of the MJCF, got STS3250"):
+        published.load_state_dict(saved)
+    with pytest.raises(ValueError, match="same servos, STS3250, got the actuators of the MJCF"):
+        sold.load_state_dict(published.state_dict())
+    with pytest.raises(ValueError, match=r"same servos\.left_knee_pitch\.kp, 22, got 32"):
+        make_base(1, servos=softer).load_state_dict(saved)
+    old = saved | {"made_for": {k: v for k, v in saved["made_for"].items() if k != "servos"}}
+    published.load_state_dict(old)
 
 
 @pytest.mark.parametrize(("values", "message"), [
