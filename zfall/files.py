@@ -12,7 +12,8 @@ def written_whole(path: Path) -> Iterator[Path]:
 
     Whatever happens, a full disk for one, what was at ``path`` before or the new file is there.
     """
-    temporary = path.with_suffix(".tmp")
+    temporary = path.with_name(f"{path.name}.tmp")
+    temporary.unlink(missing_ok=True)  # it may be a link
     try:
         yield temporary
         os.replace(temporary, path)

@@ -1,6 +1,8 @@
 """A tiny study of pushes, and one of falls."""
 
+import errno
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -63,6 +65,18 @@ def write(store: Store, test: Test, study: str = "tiny", **figures: float) -> No
     """Stores a result of a test."""
     who = {"study": study, "row": "none", "seed": 0}
     store.write(test, who, figures or {"success": 0.5}, pd.DataFrame(CURVE))
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of every text that is written, ten characters have room."""
+    write_text = Path.write_text
+
+    def full(self: Path, text: str, *args: Any, **kwargs: Any) -> None:
+        write_text(self, text[:10])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
 
 
 @pytest.fixture

@@ -70,6 +70,18 @@ def test_what_results_share_is_stored_once(tmp_path):
     assert kinds == ["id", "id", "id", "result", "result"]  # training, battery, curve
 
 
+def test_a_full_disk_leaves_the_results_before_and_nothing_else(tmp_path, request):
+    store = Store(tmp_path / "results", tmp_path / "runs")
+    write(store, some_test(seed=0))
+    folder = store.results / "results"
+    before = (folder / "tiny.jsonl").read_text()
+    request.getfixturevalue("full_disk")
+    with pytest.raises(OSError, match="No space left"):
+        write(store, some_test(seed=1))
+    assert [path.name for path in folder.iterdir()] == ["tiny.jsonl"]
+    assert (folder / "tiny.jsonl").read_text() == before
+
+
 def test_processes_that_write_at_once_lose_nothing(tmp_path):
     def some(first: int) -> None:
         for seed in range(first, 20, 4):

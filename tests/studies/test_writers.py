@@ -1,10 +1,16 @@
 """Files of a study by hand."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import pandas as pd
 import pytest
 
+from tests.studies.conftest import TINY, some_test, write
+from zfall.studies.plan import Run
+from zfall.studies.store import Store
 from zfall.studies.tables import Cell, as_frame
-from zfall.studies.writers import as_latex, as_markdown, check_keeps_all
+from zfall.studies.writers import as_latex, as_markdown, check_keeps_all, write_tables
 
 FIGURES = {"i50_mean": ("mean I50", 3), "control_falls": ("falls", 1)}
 FALLS = Cell(1.0, 1.0, 1.0, 3, None)
@@ -62,3 +68,34 @@ def test_runs_are_counted_by_row_and_world(tmp_path):
     both.to_csv(path, index=False)
     with pytest.raises(ValueError, match="base \\(rough\\)"):
         check_keeps_all(path, frame.assign(test="calm"), str)
+
+
+@pytest.mark.parametrize("what", ["a table", "a figure"])
+def test_an_error_while_files_are_written_leaves_all_of_them_as_they_were(
+    tmp_path, monkeypatch, request, what
+):
+    store = Store(tmp_path / "results", tmp_path / "runs")
+    runs = [Run("none", seed, None, None, (), (some_test(seed=seed),)) for seed in (0, 1)]
+    study = SimpleNamespace(name="tiny", plan=runs, battery=TINY["battery"])
+    write(store, runs[0].tests[0])
+    _, paths = write_tables(study, store)
+    assert sorted(path.suffix for path in paths) == [".csv", ".md", ".pdf", ".png", ".tex"]
+    before = {path: path.read_bytes() for path in paths}
+    write(store, runs[1].tests[0])
+    if what == "a table":
+        request.getfixturevalue("full_disk")
+    else:
+        monkeypatch.setattr("matplotlib.figure.Figure.savefig", cannot_draw)
+    with pytest.raises(OSError, match="No space left"):
+        write_tables(study, store)
+    assert {path: path.read_bytes() for path in paths} == before
+    assert {path for path in store.results.iterdir() if path.is_file()} == set(paths)
+    monkeypatch.undo()
+    write_tables(study, store)
+    assert paths[0].read_bytes() != before[paths[0]]
+
+
+def cannot_draw(figure: object, path: Path, **options: object) -> None:
+    """What a full disk leaves of a figure."""
+    path.write_bytes(b"PNG")
+    raise OSError("No space left on device")

@@ -11,7 +11,6 @@ A result is that of a test if both mean the same (``zfall.meaning``).
 """
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,7 @@ from filelock import FileLock
 from omegaconf import DictConfig
 
 from zfall.errors import in_one_line
+from zfall.files import written_whole
 from zfall.fingerprints import digest
 from zfall.meaning import differences, meaning, strict
 from zfall.studies.inputs import combined, training_digest
@@ -101,9 +101,8 @@ class Store:
         with FileLock(self.runs / f"{path.stem}.lock"):  # launchers' processes write the same file
             text = path.read_text() if path.exists() else ""
             text += lines_of(entry | dict(test.inputs) | {"curve": curve.to_dict("list")}, text)
-            temporary = path.with_suffix(f".{os.getpid()}.tmp")
-            temporary.write_text(text)
-            temporary.replace(path)
+            with written_whole(path) as new:
+                new.write_text(text)
         self.failure(test).unlink(missing_ok=True)
 
     def failure(self, test: "Test") -> Path:

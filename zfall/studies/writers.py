@@ -1,6 +1,7 @@
 """The files of a study: tables in Markdown, LaTeX and csv, and learning curves."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ import pandas as pd
 
 from zfall.evaluation.kinds import Figures, kind_of
 from zfall.evaluation.plots import learning_bands
+from zfall.files import written_whole
 from zfall.studies.plan import Run, battery_of
 from zfall.studies.store import Store
 from zfall.studies.tables import Cell, Rows, arranged, tables_of
@@ -46,12 +48,13 @@ def write_tables(
         texts.append(head + as_markdown(table.rows, table.missing, figures))
         sources.append(comment + as_latex(table.rows, table.missing, figures))
     store.results.mkdir(parents=True, exist_ok=True)
-    path = {ending: store.results / f"{study.name}.{ending}" for ending in ("md", "tex", "csv")}
-    path["md"].write_text("\n".join(texts))
-    path["tex"].write_text("\n".join(sources))
-    drawn = _write_curves(study.name, study.plan, store)
-    frame.to_csv(path["csv"], index=False)
-    return frame, [*path.values(), *drawn]
+    paths = [store.results / f"{study.name}.{ending}" for ending in ("md", "tex", "csv")]
+    contents = ["\n".join(texts), "\n".join(sources), frame.to_csv(index=False)]
+    with ExitStack() as whole:  # after an error none of them is replaced
+        for path, content in zip(paths, contents, strict=True):
+            whole.enter_context(written_whole(path)).write_text(content)
+        drawn = _write_curves(study.name, study.plan, store)
+    return frame, [*paths, *drawn]
 
 
 def check_keeps_all(path: Path, frame: pd.DataFrame, why: Callable[[str], str]) -> None:

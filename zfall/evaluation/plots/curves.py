@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from zfall.evaluation.comparison import bootstrap_interval
 from zfall.evaluation.plots.polar import LINES
+from zfall.files import written_whole
 
 POINTS = 40  # at which curves of several seeds are averaged
 
@@ -84,7 +85,8 @@ def learning_bands(
     axes.legend(fontsize=7, title=what, title_fontsize=7, **place)
     # Without its date, the same curves give the same file.
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
-    figure.savefig(path, dpi=300, metadata=metadata)
+    with written_whole(path) as new:
+        figure.savefig(new, format=path.suffix[1:], dpi=300, metadata=metadata)
 
 
 def _binned(run: pd.DataFrame, key: str, edges: np.ndarray) -> np.ndarray:
