@@ -2,11 +2,12 @@
 
 from typing import ClassVar
 
+import pytest
 from rich.progress import Progress
 
 from tests.studies.conftest import some_test, write
 from zfall.studies import plan
-from zfall.studies.launch import follow
+from zfall.studies.launch import follow, frames_done
 from zfall.studies.store import Store
 
 
@@ -29,3 +30,22 @@ def test_the_bar_follows_files_and_reads_no_config(tmp_path):
         follow(bar, runs, [[folder] for folder in frames], frames, store, Twice())
         (task,) = bar.tasks
     assert (task.completed, task.total) == (2.2, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        ("update,frames\n1,64\n2,128\n", 128),
+        ("update,frames\n1,64\n2,12", 64),  # of 128, which is being written
+        ("update,frames\n1,64\n2", 64),
+        ("update,frames\n1,64\n2,\x00\n", 64),
+        ("update,frames\n1,999\n", 200),
+        ("update,fra", 0),
+        ("", 0),
+        (None, 0),
+    ],
+)
+def test_only_whole_rows_are_counted(tmp_path, text, frames):
+    if text is not None:
+        (tmp_path / "metrics.csv").write_text(text)
+    assert frames_done(200, tmp_path) == frames

@@ -77,8 +77,12 @@ def follow(
 def frames_done(total: int, folder: Path) -> int:
     """Frames of a training so far, of those it is to have."""
     path = folder / "metrics.csv"
-    lines = path.read_text().splitlines() if path.exists() else []
-    return min(int(lines[-1].split(",")[1]), total) if len(lines) > 1 else 0
+    text = path.read_text(errors="replace") if path.exists() else ""
+    for line in reversed(text.split("\n")[1:-1]):  # the last line may be half written
+        _, *cells = line.split(",")
+        if cells and cells[0].isdecimal():
+            return min(int(cells[0]), total)
+    return 0
 
 
 def sweep(numbers: Sequence[int], *, module: str, launcher: str, log: Path) -> None:
