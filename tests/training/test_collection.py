@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from tensordict import TensorDictBase
@@ -38,6 +39,11 @@ def exploring(td: TensorDictBase) -> TensorDictBase:
 )
 def test_groups_are_as_equal_as_can_be(num_envs, groups, sizes):
     assert group_sizes(num_envs, groups) == sizes
+
+
+def test_too_many_worlds_are_refused_by_the_number_that_was_given(compose_config):
+    with pytest.raises(InstantiationException, match=r"num_envs must fit .* got 1000000001"):
+        Worlds(compose_config().env, 1_000_000_001, 2)
 
 
 def test_each_group_is_what_it_would_be_alone(compose_config):

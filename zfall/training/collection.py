@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import NestedKey, TensorDictBase
@@ -32,6 +33,16 @@ def group_sizes(num_envs: int, groups: int | None) -> list[int]:
     return [fewer + (group < more) for group in range(count)]
 
 
+def _built(env_cfg: DictConfig, sizes: Sequence[int]) -> list[TransformedEnv]:
+    """An env for each group; an error speaks of all worlds, ``num_envs`` as it was given."""
+    try:
+        return [instantiate(env_cfg, base_env={"num_envs": size}) for size in sizes]
+    except InstantiationException:
+        if len(sizes) > 1:
+            instantiate(env_cfg, base_env={"num_envs": sum(sizes)})
+        raise
+
+
 class Worlds:
     """Envs of the same task that are stepped alternately, see ``zfall.simulation.turns.in_turns``.
 
@@ -53,9 +64,7 @@ class Worlds:
     def __init__(self, env_cfg: DictConfig, num_envs: int, groups: int | None = None):
         sizes = group_sizes(num_envs, groups)
         if "base_env" in env_cfg:
-            self.envs: list[TransformedEnv] = [
-                instantiate(env_cfg, base_env={"num_envs": size}) for size in sizes
-            ]
+            self.envs: list[TransformedEnv] = _built(env_cfg, sizes)
         elif groups in (None, 1):
             self.envs = [instantiate(env_cfg)]
         else:
