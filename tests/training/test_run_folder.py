@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 
 import pandas as pd
 import pytest
@@ -71,6 +72,18 @@ def test_a_refused_logger_leaves_nothing_that_looks_like_a_run(tmp_path):
 
 
 ROWS = ["update,frames,kl", "1,32,0.5", "2,64,0.25", "3,96,"]
+
+
+def test_many_rows_are_kept_in_a_time_that_grows_with_their_number(tmp_path):
+    """Looking through all rows at each of 60 000 would take half a minute."""
+    path = tmp_path / "metrics.csv"
+    rows = [f"{number},{32 * number},0.5" for number in range(1, 60_001)]
+    path.write_text("\n".join(["update,frames,kl", *rows, ""]))
+    begin = time.process_time()
+    assert keep_rows(path, (), 60_000) == 0
+    assert time.process_time() - begin < 3.0
+
+
 DAMAGES = {  # what a file may look like, and which updates are lost of the first three
     "whole": ("\n".join([*ROWS, "4,128,1.0", "5,1"]), 0),
     "cut in a row": ("\n".join(ROWS[:3])[:-3], 2),

@@ -50,11 +50,13 @@ def keep_rows(path: Path, columns: Sequence[str], updates: int) -> int:
     old = path.read_bytes() if path.exists() else b""
     lines = old.decode(errors="replace").split("\n")[:-1]  # what has no end was cut off
     columns = columns or (lines[0].split(",") if lines else [])
-    rows: dict[int, str] = {}
+    rows: list[str] = []
+    last = 0
     for number, line in _rows_of(lines, len(columns)):
-        if max(rows, default=0) < number <= updates:
-            rows[number] = line
-    text = "".join(f"{line}\n" for line in (",".join(columns), *rows.values()))
+        if last < number <= updates:
+            rows.append(line)
+            last = number
+    text = "".join(f"{line}\n" for line in (",".join(columns), *rows))
     if not rows:
         path.unlink(missing_ok=True)  # the next row brings the header
     elif text.encode() != old:
