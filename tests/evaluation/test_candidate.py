@@ -121,6 +121,12 @@ def test_trials_are_read_under_the_same_conditions_alone(tmp_path, compose_confi
     assert read_trials(path, conditions()).equals(trials)
     others = [{"seed": 1}, {"battery": load_battery("planar", starts=2)}, {"candidate": noisy}]
     assert all(read_trials(path, conditions(**other)) is None for other in others)
+    path.write_text('trial,recovered\n0,"')
+    with pytest.raises(ValueError, match=r"trials\.csv must be a table in csv, it is damaged"):
+        read_trials(path, conditions())
+    path.with_suffix(".json").write_text('{"config": 3}')
+    with pytest.raises(ValueError, match=r"trials\.json must be as it was written"):
+        read_trials(path, conditions())
 
 
 def test_trials_are_read_by_a_version_with_more_keys(tmp_path, compose_config, monkeypatch):

@@ -23,6 +23,14 @@ class Page(HTMLParser):
         self.text += data
 
 
+SUMMARY = {
+    "battery": "planar", "battery_version": 1, "n": 40, "seed": 0, "control_falls": 1,
+    "control_n": 20, "i50_mean": 0.512, "i50_min": 0.4, "i90_mean": 0.3, "i90_min": 0.2,
+    "success": {"0.4": 0.875}, "success_low": {"0.4": 0.81}, "success_high": {"0.4": 0.92},
+    "force_n": {"0.4": 19.7}, "definition": {"starts": 20},
+}  # fmt: skip
+
+
 @pytest.fixture
 def folder(tmp_path):
     columns = ("frames", "episode_return", "episode_seconds", "terminated", "kl", "reward/upright")
@@ -32,13 +40,7 @@ def folder(tmp_path):
     learning_curves(metrics, tmp_path / "plots" / "learning_curves.png")
     battery = tmp_path / "evaluation" / "planar"
     battery.mkdir(parents=True)
-    summary = {
-        "battery": "planar", "battery_version": 1, "n": 40, "seed": 0, "control_falls": 1,
-        "control_n": 20, "i50_mean": 0.512, "i50_min": 0.4, "i90_mean": 0.3, "i90_min": 0.2,
-        "success": {"0.4": 0.875}, "success_low": {"0.4": 0.81}, "success_high": {"0.4": 0.92},
-        "force_n": {"0.4": 19.7}, "definition": {"starts": 20},
-    }  # fmt: skip
-    (battery / "summary.json").write_text(json.dumps(summary))
+    (battery / "summary.json").write_text(json.dumps(SUMMARY))
     (tmp_path / ".hydra").mkdir()
     (tmp_path / ".hydra" / "config.yaml").write_text("seed: 7\nnote: <script>alert(1)</script>\n")
     (tmp_path / ".hydra" / "overrides.yaml").write_text("- seed=7\n- caps=atalante\n")
@@ -73,3 +75,38 @@ def test_overrides_of_a_run_are_shown_as_they_stand(folder, monkeypatch):
     page = write_report(folder).read_text()
     assert "hush" not in page
     assert "${oc.env:SECRET}" in page
+
+
+DAMAGES = {
+    "metrics.csv": ["", "\x00\x01", "frames,kl\n1,2\n1,2,3,4\n", "update\n1\n", "frames\nmany\n"],
+    "timing.csv": ["", "collect_s\n1.0\n", "collect_s,learn_s\na,b\n"],
+    "evaluation/planar/summary.json": [
+        "", "[]", "3", "{", "[" * 100_000, '{"n": 3}', "\udcff",
+        json.dumps(SUMMARY | {"i50_mean": "much"}),
+        json.dumps(SUMMARY | {"force_n": {"0.6": 30.0}}),
+        json.dumps(SUMMARY | {"success": [0.5]}),
+    ],
+    "evaluation/planar/by_size.csv": ["", '"'],
+    "comparison.csv": [""],
+    ".hydra/config.yaml": ["\udcff"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_file_is_named_in_one_line_and_the_page_before_stays(folder, name):
+    write_report(folder)
+    page = (folder / "report.html").read_bytes()
+    for content in DAMAGES[name]:
+        (folder / name).write_bytes(content.encode(errors="surrogateescape"))
+        with pytest.raises(ValueError, match=f"{name} must be") as caught:
+            write_report(folder)
+        assert "\n" not in str(caught.value)
+        assert "take another copy, or remove it" in str(caught.value)
+        assert (folder / "report.html").read_bytes() == page
+
+
+def test_a_comparison_without_its_summary_or_with_an_empty_one_is_refused(folder):
+    (folder / "comparison.csv").write_text("run,success\none,0.5\n")
+    (folder / "summary.json").write_text("{}")
+    with pytest.raises(ValueError, match="summary.json must be as it was written"):
+        write_report(folder)

@@ -18,6 +18,7 @@ from zfall.evaluation.baselines import baseline_names, load_baseline, passive
 from zfall.evaluation.battery import battery_env, starts_and_pushes
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import MEASURES
+from zfall.evaluation.run_files import read_summary, read_table, reading
 from zfall.files import written_whole
 from zfall.fingerprints import weights_digest
 from zfall.meaning import meaning, strict
@@ -202,8 +203,10 @@ def read_trials(path: Path, conditions: dict[str, Any]) -> pd.DataFrame | None:
     given = path.with_suffix(".json")
     if not (path.exists() and given.exists()):
         return None
-    same = _meaning(json.loads(given.read_text())) == _meaning(conditions)
-    return pd.read_csv(path) if same else None
+    before = read_summary(given)
+    with reading(given):
+        same = _meaning(before) == _meaning(conditions)
+    return read_table(path) if same else None
 
 
 def _meaning(conditions: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import base64
 import json
 import platform
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.resources import files
@@ -14,6 +15,7 @@ import pandas as pd
 from jinja2 import Environment
 
 from zfall.commands import shell_line
+from zfall.evaluation.run_files import read_summary, read_table, reading
 from zfall.files import written_whole
 from zfall.trust import texts_of_file
 
@@ -54,6 +56,9 @@ def write_report(folder: Path, command: str = "") -> Path:
 
     Returns:
         The page, which holds everything it shows.
+
+    Raises:
+        ValueError: if one of the files is damaged, naming it.
     """
     sections = [_training(folder)] if (folder / "metrics.csv").exists() else []
     batteries = [path.parent for path in folder.glob("evaluation/*/summary.json")]
@@ -84,62 +89,64 @@ def _planar_first(battery: Path) -> tuple[bool, str]:
 
 
 def _training(folder: Path) -> Section:
-    metrics = pd.read_csv(folder / "metrics.csv")
-    last = metrics.tail(10).mean(numeric_only=True)
-    names = ["episode_return", "episode_seconds", "terminated", "kl"]
-    rows = pd.DataFrame(
-        {"mean of the last ten updates": [name for name in names if name in last]}
-    ).assign(value=lambda t: [f"{last[name]:.4g}" for name in t.iloc[:, 0]])
-    notes = [f"{metrics['frames'].max() / 1e6:.2f} million control steps, {len(metrics)} updates."]
-    if (folder / "timing.csv").exists():
-        timing = pd.read_csv(folder / "timing.csv")
-        seconds = timing["collect_s"].sum() + timing["learn_s"].sum()
-        notes.append(
-            f"{seconds / 60:.1f} minutes, {metrics['frames'].max() / seconds:.0f} control steps/s."
-        )
+    metrics = read_table(path := folder / "metrics.csv")
+    with reading(path):
+        frames = metrics["frames"].max()
+        last = metrics.tail(10).mean(numeric_only=True)
+        names = ["episode_return", "episode_seconds", "terminated", "kl"]
+        rows = pd.DataFrame(
+            {"mean of the last ten updates": [name for name in names if name in last]}
+        ).assign(value=lambda t: [f"{last[name]:.4g}" for name in t.iloc[:, 0]])
+        notes = [f"{frames / 1e6:.2f} million control steps, {len(metrics)} updates."]
+    if (path := folder / "timing.csv").exists():
+        timing = read_table(path)
+        with reading(path):
+            seconds = timing["collect_s"].sum() + timing["learn_s"].sum()
+            notes.append(f"{seconds / 60:.1f} minutes, {frames / seconds:.0f} control steps/s.")
     out = Section("Training", notes=notes, tables=[_html(rows)])
     out.figures = [_figure(path) for path in sorted((folder / "plots").glob("*.png"))]
     return out
 
 
 def _battery(folder: Path) -> Section:
-    summary = json.loads((folder / "summary.json").read_text())
-    notes = [
-        f"Battery version {summary['battery_version']}, {summary['n']} trials, seed "
-        f"{summary['seed']}; falls without a push: {summary['control_falls']} of "
-        f"{summary['control_n']}."
-    ]
-    if summary.get("privileged"):
-        notes.append(
-            "No sensor of this robot measures what the policy sees of "
-            f"{', '.join(summary['privileged'])}: these are the true values."
-        )
-    tables = []
-    if "i50_mean" in summary:
-        notes.append(
-            f"I50: mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f} over "
-            f"directions; I90: mean {summary['i90_mean']:.3f}, least {summary['i90_min']:.2f}."
-        )
-        rows = [
-            {
-                "impulse I": size,
-                "force [N]": f"{summary['force_n'][size]:.1f}",
-                "recovered": f"{100 * rate:.1f} %",
-                "95 % interval": f"{100 * summary['success_low'][size]:.1f} to "
-                f"{100 * summary['success_high'][size]:.1f} %",
-            }
-            for size, rate in summary["success"].items()
-        ]
-        tables.append(_html(pd.DataFrame(rows)))
-    tables += [_html(pd.read_csv(path)) for path in _tables(folder)]
+    summary = read_summary(path := folder / "summary.json")
+    with reading(path):
+        notes, tables = _headlines(summary)
+    tables += [_html(read_table(path)) for path in _tables(folder)]
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
     title = f"Battery {folder.name.replace('_', ' ')}"
     return Section(title, notes=notes, tables=tables, figures=figures)
 
 
+def _headlines(summary: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """What the summary of a battery says, and its table of sizes, if it has them."""
+    notes = [
+        f"Battery version {summary['battery_version']}, {summary['n']} trials, seed "
+        f"{summary['seed']}; falls without a push: {summary['control_falls']} of "
+        f"{summary['control_n']}."
+    ]
+    if "i50_mean" not in summary:
+        return notes, []
+    notes.append(
+        f"I50: mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f} over "
+        f"directions; I90: mean {summary['i90_mean']:.3f}, least {summary['i90_min']:.2f}."
+    )
+    rows = [
+        {
+            "impulse I": size,
+            "force [N]": f"{summary['force_n'][size]:.1f}",
+            "recovered": f"{100 * rate:.1f} %",
+            "95 % interval": f"{100 * summary['success_low'][size]:.1f} to "
+            f"{100 * summary['success_high'][size]:.1f} %",
+        }
+        for size, rate in summary["success"].items()
+    ]
+    return notes, [_html(pd.DataFrame(rows))]
+
+
 def _comparison(folder: Path) -> Section:
     note = "Differences are to the first run, on the same trials; p is of McNemar's exact test."
-    tables = [_html(pd.read_csv(path)) for path in _tables(folder)]
+    tables = [_html(read_table(path)) for path in _tables(folder)]
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
     return Section("Comparison", notes=[note], tables=tables, figures=figures)
 
@@ -158,16 +165,17 @@ def _reproduction(folder: Path, command: str) -> Section:
         out.notes.append(shell_line("train", given))
     if (folder / "comparison.csv").exists():
         out.notes += [command] if command else []
-        summaries = json.loads((folder / "summary.json").read_text())
-        given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)
+        summaries = read_summary(path := folder / "summary.json")
+        with reading(path):
+            given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)
         out.listings.append({"title": "definition of the battery", "body": given})
     for name in ("config.yaml", "overrides.yaml"):
         path = folder / ".hydra" / name
         if path.exists():
-            out.listings.append({"title": name, "body": path.read_text()})
+            with reading(path):
+                out.listings.append({"title": name, "body": path.read_text()})
     for path in sorted(folder.glob("evaluation/*/summary.json")):
-        battery = json.loads(path.read_text())
-        given = json.dumps(battery.get("definition", {}), indent=2)
+        given = json.dumps(read_summary(path).get("definition", {}), indent=2)
         out.listings.append({"title": f"definition of {path.parent.name}", "body": given})
     return out
 

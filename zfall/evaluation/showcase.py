@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
@@ -19,6 +18,7 @@ from zfall.evaluation.kinds.planar import success_by_size
 from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.report import write_report
+from zfall.evaluation.run_files import read_table
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import film, frame
 from zfall.evaluation.writers import write_summary
@@ -58,7 +58,7 @@ def show(
         "pose_hold": summarize(battery, baseline),
     }
     write_summary(folder, summaries)
-    learning_curves(pd.read_csv(folder / "metrics.csv"), plots / "learning_curves.png")
+    learning_curves(read_table(folder / "metrics.csv"), plots / "learning_curves.png")
     title = "share recovered, short planar"
     lines = references(robot_of(cfg.env), battery.durations[0])
     success_map(after, plots / "planar.png", title=title, baseline=baseline, lines=lines)
