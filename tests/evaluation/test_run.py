@@ -45,7 +45,7 @@ def test_an_envelope_is_bisected_from_python():
     [
         ("nobody", "planar", {}, "run .*nobody"),
         ("best", "linear", {}, "battery .*got 'linear'"),
-        ("best", "planar", {"pont": 1}, "planar .*got pont"),
+        ("best", "planar", {"pont": 1}, r"battery\.pont is not a key .*did you mean point"),
         ("best", "planar", {"keep": ["push"]}, "keep .*push"),
         ("best", "planar", {"env": "zeroth_fall"}, "env .*best"),
         ("best", "planar", {"change": ["transforms.action.skale=1"]}, "change .*skale"),
