@@ -170,12 +170,12 @@ def _of_kind(value: Any, kind: Any, place: str, depth: int, infinite: bool) -> _
 def _of_number(value: Any, place: str, depth: int, infinite: bool) -> _Complaint | None:
     if isinstance(value, bool) or not isinstance(value, Real):  # of NumPy, too
         return _must(place, "be a number", value, depth)
-    if math.isnan(value) or (math.isinf(value) and not infinite):
-        return _must(place, "be a number" if infinite else "be a finite number", value, depth + 1)
     try:
-        float(value)
+        number = float(value)
     except OverflowError:
         return _must(place, "be a number of at most 1e308", "one larger", depth + 1)
+    if math.isnan(number) or (math.isinf(number) and not infinite):
+        return _must(place, "be a number" if infinite else "be a finite number", value, depth + 1)
     return None
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from zfall.commands import shell_line
 from zfall.configs import config_folder, options_of
 
-_LINE = re.compile(r"( *)(?:- )?(?:override )?([\w/]+): *(.*?)(?: *(?:^|\s)# *(.*))?")
+_LINE = re.compile(r"( *)(?:- )?(?:override )?([\w/]+): *(.*?)(?: *(?<=\s)# *(.*))?")
 _ELSEWHERE = {"battery", "baseline", "study"}  # groups of other recipes than train
 _WIDTH = 28
 
