@@ -129,7 +129,7 @@ def test_an_overload_gives_way_after_two_seconds(one):
 def test_an_overload_ends_when_little_is_needed_and_with_the_episode():
     bench = Bench(STS3250, worlds=2, stop=0.01)
     bench.run(2.2, 0.8)
-    bench.dynamics.reset(torch.tensor([True, False]))
+    bench.dynamics.reset(bench.simulation, torch.tensor([True, False]))
     torque = bench.run(0.04, 0.8)
     assert torque[:, 0] == pytest.approx(STS3250.motor_torque() * np.array([1.0, 0.2]), rel=1e-6)
     bench.run(0.08, 0.02)  # the error is all but gone
@@ -284,6 +284,18 @@ def test_an_episode_begins_with_rested_servos(robot):
     assert td["supply_voltage"][1] == before["supply_voltage"][1]
     for name, value in robot.servo_dynamics.state_dict().items():
         assert not value[2].any(), name
+
+
+def test_what_is_measured_at_a_reset_does_not_depend_on_the_episode_before(robot, make_base):
+    """Gears that had been loaded would brake the first motion, and the accelerometer feel it."""
+    generator = torch.Generator().manual_seed(1)
+    bent = robot.stand_position + 0.3 * torch.randn(3, 20, generator=generator)
+    start = TensorDict({"start": {"joint_position": bent}}, [3])
+    fresh = make_base(num_envs=3, servos=SERVO_OF, servo_dynamics=True)
+    expected = fresh.reset(start.clone()).select(*fresh.observation_spec.keys())
+    swing(robot)
+    found = robot.reset(start.clone())
+    assert all(torch.equal(found[key], value) for key, value in expected.items())
 
 
 def test_a_restored_or_copied_env_goes_on_bit_for_bit(robot, make_base):

@@ -232,7 +232,7 @@ class HumanoidEnv(EnvBase):
 
     def _place(self, rows: Tensor, start: Mapping[str, Tensor]) -> Tensor:
         if self.servo_dynamics:
-            self.servo_dynamics.reset(rows)
+            self.servo_dynamics.reset(self.simulation, rows)
         return self._placing.place(self.simulation, rows, start)
 
     @property

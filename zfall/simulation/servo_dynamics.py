@@ -118,18 +118,9 @@ class ServoDynamics:
 
     def act(self, simulation: Simulation) -> None:
         """Gives the servos of all worlds what they have in the coming control step."""
-        state, qpos, qvel = self._state, simulation.qpos.numpy(), simulation.qvel.numpy()
+        qpos, qvel = simulation.qpos.numpy(), simulation.qvel.numpy()
         self._before = qpos[:, self._place], qvel[:, self._speed]
-        share = self.supply_voltage() / self._voltage
-        limit = self._value("servo_torque_limit") * share
-        self._full = self._stall * limit  # torque at full duty
-        cut = np.where(state["overloaded"] > 0, self._remaining, 1.0)
-        stiffness = self._value("servo_stiffness") * share
-        added = self._value("load_friction") * state["load_friction"]
-        factor = self._value("joint_friction_loss")
-        self._dry = self._friction * factor + added
-        fields = self._fields.actuators(stiffness, limit * cut, self._value("joint_zero_offset"))
-        simulation.set_fields(self._rows, fields | self._fields.friction(factor, added))
+        self._put(simulation, self._rows)
 
     def advance(self, simulation: Simulation, sensors: Tensor) -> None:
         """Takes what the control step gave, its sensor values ``(N, S, nsensordata)``."""
@@ -160,10 +151,15 @@ class ServoDynamics:
                 squares = (square - torque**2 + motor**2) / (self._stall * limit) ** 2
                 self._heat(squares * self._voltage * self._current)
 
-    def reset(self, rows: Tensor) -> None:
-        """Begins the episodes of the worlds in ``rows`` ``(N,)`` bool."""
+    def reset(self, simulation: Simulation, rows: Tensor) -> None:
+        """Begins the episodes of the worlds in ``rows`` ``(N,)`` bool with rested servos.
+
+        To be called before these worlds are put into their new state, whose sensor values depend
+        on what the servos can give.
+        """
         for value in self._state.values():
             value[rows.numpy()] = 0.0
+        self._put(simulation, rows)
 
     def battery_voltage(self) -> Array:
         """``(N, 1)`` [V]."""
@@ -194,6 +190,21 @@ class ServoDynamics:
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
         """Restores what ``state_dict`` gave."""
         self._state = {key: value.numpy().copy() for key, value in state.items()}
+
+    def _put(self, simulation: Simulation, rows: Tensor) -> None:
+        """Lets what the state says act in the worlds in ``rows`` ``(N,)`` bool."""
+        state, at = self._state, rows.numpy()
+        share = self.supply_voltage() / self._voltage
+        limit = self._value("servo_torque_limit") * share
+        self._full = self._stall * limit  # torque at full duty
+        cut = np.where(state["overloaded"] > 0, self._remaining, 1.0)
+        stiffness = self._value("servo_stiffness") * share
+        added = self._value("load_friction") * state["load_friction"]
+        factor = self._value("joint_friction_loss")
+        self._dry = self._friction * factor + added
+        zero = self._value("joint_zero_offset")
+        fields = self._fields.actuators(stiffness[at], (limit * cut)[at], zero[at])
+        simulation.set_fields(rows, fields | self._fields.friction(factor[at], added[at]))
 
     def _value(self, name: str) -> Array:
         return self._values[name].numpy().astype(np.float64)
