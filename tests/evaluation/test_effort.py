@@ -6,6 +6,8 @@ from tensordict import TensorDict
 
 from tests.evaluation.moments import ENDED, moment
 from zfall.evaluation.effort import Effort
+from zfall.robots import ZEROTH01
+from zfall.robots.servos import STS3250
 
 
 def test_sums_over_a_constant_torque_and_speed(make_base):
@@ -40,6 +42,30 @@ def test_saturation_is_the_share_of_torques_at_their_limit(make_base):
     )  # fmt: skip
     effort.update(td, moment([True]))
     assert effort.table(ENDED)["torque_saturation"].item() == pytest.approx(5 / 20)
+
+
+def test_the_limit_is_what_the_servos_could_give_in_the_step(make_base):
+    """At 11.16 V, and in the second world with the sag of a supply of 0.15 Ohm as well."""
+    env = make_base(num_envs=2, servos=dict.fromkeys(ZEROTH01.joints, STS3250), servo_dynamics=True)
+    supply = {
+        "battery_voltage": torch.full((2, 1), 0.93),
+        "supply_resistance": torch.tensor([[0.0], [0.15]]),
+    }
+    env.set_physics_params(TensorDict(supply, [2]))
+    env.reset()
+    far = TensorDict({"target": env.stand_position.repeat(2, 1) + 1.0}, [2])
+    share = env.step(far.clone())["next", "supply_voltage"] / 12.0
+    assert share[0] == pytest.approx(0.93)
+    assert share[1] < 0.9 * share[0]
+    env.step(far.clone())
+    effort, largest = Effort(env), STS3250.motor_torque() * share
+    for part in (0.96, 0.94):
+        td = TensorDict(
+            {"joint_torque": part * largest.expand(2, 20), "joint_velocity": torch.zeros(2, 20),
+             "target": torch.zeros(2, 20)}, [2]
+        )  # fmt: skip
+        effort.update(td, moment([True, True]))
+    assert effort.table(ENDED)["torque_saturation"].tolist() == [0.5, 0.5]
 
 
 def test_jerk_of_a_cubic_is_its_third_derivative(make_base):

@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.evaluation.effort import SATURATED
+from zfall.evaluation.effort import at_their_limit
 from zfall.evaluation.followers import Ended, Moment
 from zfall.evaluation.metrics import spectral_smoothness
 from zfall.evaluation.strategies import Footsteps
@@ -29,7 +29,7 @@ class Rest:
     ``rest_torque_rms`` [N m]: root mean square over time and joints, and of each joint,
     ``rest_torque_rms/JOINT``. ``rest_load/JOINT``: the same over the continuous rating of the
     joint's servo, where one is published; ``rest_load``: the largest of these. ``rest_at_limit``:
-    share of torques above 95 % of the servo's largest at the trial's voltage.
+    share of torques ``at_their_limit``.
     ``rest_joint_speed`` [rad/s]: root mean square. ``rest_target_smoothness`` [rad]:
     ``spectral_smoothness`` of the joint targets; NaN if the robot fell.
     ``peak_servo_temperature`` [degree Celsius]: of the warmest winding after ten minutes of this
@@ -46,10 +46,7 @@ class Rest:
     def __init__(self, env: HumanoidEnv):
         n, self.joints = env.num_envs, env.robot.joints
         self.servos: list[Servo | None] = [(env.servos or {}).get(name) for name in self.joints]
-        model = env.simulation.model
-        ranges = [model.actuator(joint).forcerange for joint in self.joints]
-        self.limit = torch.tensor([float(high) for _, high in ranges])
-        self.parameters, self.dt = env.parameters, env.control_dt
+        self.env, self.dt = env, env.control_dt
         self.time, self.limited, self.steps = torch.zeros(n), torch.zeros(n), torch.zeros(n)
         self.torque, self.speed = torch.zeros(n, len(self.joints)), torch.zeros(n)
         self.pushed = torch.zeros(n, dtype=torch.bool)
@@ -64,11 +61,9 @@ class Rest:
         """Takes in a control step, of trials up to their fall."""
         share, torque = now.upto_fall.float(), td["joint_torque"]
         self.pushed |= (td["push", "force"] != 0).any(-1) & now.counted
-        values = self.parameters.values
-        limit = self.limit * values["battery_voltage"] * values["servo_torque_limit"]
         self.time += share
         self.torque += share[:, None] * torque.square()
-        self.limited += share * (torque.abs() > SATURATED * limit).float().mean(-1)
+        self.limited += share * at_their_limit(self.env, torque).float().mean(-1)
         self.speed += share * td["joint_velocity"].square().mean(-1)
         self.steps += share * self._feet.update(td).sum(-1)
         self._targets.append(td["target"].clone())

@@ -182,6 +182,13 @@ class Simulation:
         if not _CONSTANTS.isdisjoint(fields):
             self._batch.set_const(which)
 
+    def field(self, name: str) -> NDArray[np.float64]:
+        """Values of a field of ``mjModel`` in all worlds ``(N, *shape of the field)``."""
+        if name in self._fields:
+            return self._fields[name]
+        value: NDArray[np.float64] = getattr(self.model, name)
+        return np.broadcast_to(value, (self.num_worlds, *value.shape))
+
     def model_of(self, world: int) -> mujoco.MjModel:
         """A copy of the model, with the fields of a world."""
         return self._batch.get_model(world)
