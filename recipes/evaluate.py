@@ -77,7 +77,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.single_trial import show_trial
 
         console = Console()
-        check_values(cfg)
+        check_values(cfg, choice("servo"))
         options = {key: cfg[key] for key in OPTIONS if cfg[key] is not None}
         battery = battery_of(cfg.battery, **options)
         names = names_of(cfg, battery)

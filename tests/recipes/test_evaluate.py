@@ -152,6 +152,10 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evalu
         (["run=best", "point=5"], "error: point must be text or a list, [5], or null, got 5."),
         (["run=best", "env=icub_balance"], "error: env must be given for baselines alone, best"),
         (["run=best", "video=true"], "error: video needs a trial"),
+        (
+            ["run=best", "battery=twin", "servo=datasheet"],
+            "error: servo must be left out with a battery whose world has servos of its own",
+        ),
         (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
         (["run=best", "starts=abc"], "error: starts must be a whole number or null, got abc."),
         (["run=best", "impulses=0.4"], "error: impulses must be a list, [0.4], or null, got 0.4."),

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from zfall.evaluation.baselines import baseline_names
 from zfall.evaluation.definitions import Battery, table_of
@@ -10,8 +10,13 @@ from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.run import setting_name
 
 
-def check_values(cfg: DictConfig) -> None:
-    """Refuses values of the recipe itself that make no sense."""
+def check_values(cfg: DictConfig, servo: str | None = None) -> None:
+    """Refuses values of the recipe itself that make no sense.
+
+    Args:
+        cfg: of the recipe.
+        servo: the servos chosen; ``None``: those of the training.
+    """
     if (cfg.run is None) == (cfg.runs is None):
         raise ValueError(
             f"run must be a run folder, or {' or '.join(baseline_names())}, or runs a list of "
@@ -19,6 +24,11 @@ def check_values(cfg: DictConfig) -> None:
         )
     if cfg.video and cfg.trial is None:
         raise ValueError("video needs a trial, by its number in trials.csv: trial=1000.")
+    if servo is not None and OmegaConf.select(cfg, "battery.world.base_env.servos") is not None:
+        raise ValueError(
+            f"servo must be left out with a battery whose world has servos of its own, got "
+            f"{servo}: servo@battery.world.base_env={servo} gives it others."
+        )
 
 
 def names_of(cfg: DictConfig, battery: Battery) -> list[str]:
@@ -28,10 +38,8 @@ def names_of(cfg: DictConfig, battery: Battery) -> list[str]:
         raise ValueError(
             f"runs needs a battery whose trials are the same for all; {battery.name} is not."
         )
-    if cfg.trial is not None and (cfg.keep or not independent):
-        raise ValueError(
-            f"trial needs a battery whose trials are independent, and no keep; got {battery.name}."
-        )
+    if cfg.trial is not None and not independent:
+        raise ValueError(f"trial needs a battery whose trials are independent, got {battery.name}.")
     return [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
 
 
