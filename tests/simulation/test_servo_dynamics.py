@@ -113,6 +113,19 @@ def test_friction_under_load_is_by_hand_that_of_the_source():
     assert STS3215.gear_friction(2.0, 0.5, 0.371) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("one", "share"), [(STS3250, 0.72), (STS3215, 0.70)])
+def test_what_a_servo_lifts_is_less_than_its_sheet_says(one, share):
+    """As ``docs/reference/servos.md`` says: the sheet's torque is that after all losses."""
+    strong = replace(one, overload=None)
+    speeds = []
+    for load in (share - 0.02, share + 0.02):
+        bench = Bench(strong)
+        bench.run(1.0, 1e3, -load * one.stall_torque)
+        speeds.append(bench.speed[0, 0])
+    assert speeds[0] > 0.05
+    assert abs(speeds[1]) < 0.05
+
+
 @pytest.mark.parametrize("one", [STS3250, STS3215])
 def test_an_overload_gives_way_after_two_seconds(one):
     bench, torques = Bench(one, stop=0.01), []

@@ -9,8 +9,8 @@ from typing import Any
 from zfall.robots.servos.servo import Overload, Servo
 
 # Friction of the gears, identified on the 7.4 V servo with the same 1:345 gears (BAM, models M1
-# and M6 of the STS3215): Duclusaud and Passault, arXiv 2410.08650. No identified model of a 12 V
-# servo of this family is published. What follows is scaled from it, see each servo.
+# and M6 of the STS3215): Duclusaud and Passault, arXiv 2410.08650. They publish none of a
+# 12 V servo of this family any more. What follows is scaled from it, see each servo.
 _STS_LOAD_FRICTION: dict[str, Any] = {
     "motor_load_friction": 0.045,
     "external_load_friction": 0.244,
