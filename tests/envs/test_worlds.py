@@ -33,6 +33,8 @@ def test_an_estimator_gives_way_to_that_of_the_policy(compose_config):
     assert "world_speed" not in names(in_world(with_own, world))
     assert names(in_world(with_own, world))[0] == "start"
     assert names(in_world(compose_config().env, world))[0] == "world_speed"  # before all others
+    left_out = compose_config("env=push_recovery_realistic", "+env.training_only.speed=true").env
+    assert names(in_world(left_out, world))[0] == "world_speed"
 
 
 def test_without_a_world_nothing_changes_and_base_env_takes_its_values(compose_config):

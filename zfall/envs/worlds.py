@@ -12,7 +12,7 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf, open_dict
 from torchrl.envs import TransformedEnv
 
-from zfall.envs.make import in_place
+from zfall.envs.make import in_place, left_out
 from zfall.static_checks import check_nodes
 
 PARTS = ("commands", "physics", "sensors")
@@ -51,7 +51,8 @@ def in_world(env_cfg: DictConfig, world: World | None) -> DictConfig:
     Values of ``base_env`` replace the env's. Each of the other tables replaces all transforms that
     are hardware of its kind: ``commands`` act last on the way to the motors, ``sensors`` stand
     before all that reads what is measured. An estimator of the world gives way to one of the env
-    for the same quantity, which belongs to the policy that was trained with it.
+    for the same quantity, which belongs to the policy that was trained with it, unless that is in
+    ``training_only``.
 
     Args:
         env_cfg: as in ``recipes/env``.
@@ -69,7 +70,8 @@ def in_world(env_cfg: DictConfig, world: World | None) -> DictConfig:
     }
     if taken := [name for name in own if name.startswith(PREFIX)]:
         raise ValueError(f"transforms.{taken[0]} must not begin with {PREFIX}, rename it.")
-    estimated = {_declared(transform, "estimates") for transform in own.values()} - {None}
+    gone = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
+    estimated = {_declared(own[name], "estimates") for name in own.keys() - {*gone}} - {None}
     sensors = {
         name: transform
         for name, transform in _named(world, "sensors").items()
