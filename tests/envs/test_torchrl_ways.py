@@ -168,7 +168,9 @@ def test_worlds_are_rendered_into_pixels():
     env.base_env.camera.close()
 
 
-@pytest.mark.parametrize("order", ["import torchrl.envs, zfall", "import zfall"])
+@pytest.mark.parametrize(
+    "order", ["import torchrl.envs, zfall", pytest.param("import zfall", marks=pytest.mark.slow)]
+)
 def test_an_unknown_opengl_is_named_when_a_picture_is_wanted(order):
     code = f"{order}; from zfall.envs.tasks import build_task as b; b('push_recovery', num_envs=1)"
     code += ".render()"

@@ -73,7 +73,7 @@ def test_a_recurrent_policy_is_followed_through_its_sequences():
     assert_close(loss, expected, rtol=1e-4, atol=0)
 
 
-@pytest.mark.parametrize("actor", ["gru_mog", "mlp_gaussian"])
+@pytest.mark.parametrize("actor", [pytest.param("gru_mog", marks=pytest.mark.slow), "mlp_gaussian"])
 def test_a_pupil_comes_closer_to_its_teacher(compose_config, actor):
     """Within some updates, in states of its own, with PPO's loss beside."""
     learner = Learner(

@@ -161,8 +161,9 @@ def test_an_actor_draws_where_gradients_are_enabled():
     assert out["action_log_prob"].requires_grad
 
 
-def test_mode_is_the_highest_point_of_a_grid_for_ten_thousand_mixtures():
-    for parameters in (draw(500, 3) for _ in range(20)):
+@pytest.mark.parametrize("times", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_mode_is_the_highest_point_of_a_grid_for_thousands_of_mixtures(times):
+    for parameters in (draw(500, 3) for _ in range(times)):
         _, density, _, _ = brute_force(parameters)
         ours = MixtureOfGaussians(*(p[:, None] for p in parameters))
         best = ours.joint_log_prob(ours.mode)[:, 0]
@@ -195,8 +196,9 @@ def test_mode_moves_with_the_parameters_as_finite_differences_say():
             )
 
 
-def test_entropy_is_that_of_brute_force_for_ten_thousand_mixtures():
-    for parameters in (draw(500, 3) for _ in range(20)):
+@pytest.mark.parametrize("times", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_entropy_is_that_of_brute_force_for_thousands_of_mixtures(times):
+    for parameters in (draw(500, 3) for _ in range(times)):
         _, density, log, step = brute_force(parameters)
         exact = -(density * log).sum(0) * step
         for kind, bound in ((torch.float64, 2e-5), (torch.float32, 1e-3)):

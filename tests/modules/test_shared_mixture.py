@@ -100,6 +100,7 @@ def test_shared_mixture_estimates_are_without_bias():
     assert estimates.mean().item() == pytest.approx(exact, abs=5 * error)
 
 
+@pytest.mark.slow  # that of mixtures for each joint is quick enough
 def test_compiled_it_is_the_same():
     """In one graph, without a break; traced, but not translated to C++, which takes a minute."""
 
@@ -118,11 +119,12 @@ def test_compiled_it_is_the_same():
         assert_close(value, expected)
 
 
-def test_mode_is_the_highest_point_of_a_grid_for_two_thousand_mixtures():
+@pytest.mark.parametrize("times", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_mode_is_the_highest_point_of_a_grid_for_hundreds_of_mixtures(times):
     """Over two joints, wide and narrow, half of them overlapping; maxima lie between the means."""
     steps = torch.linspace(0, 1, 101, dtype=torch.float64)
     grid = torch.cartesian_prod(steps, steps)[:, None]
-    for _ in range(20):
+    for _ in range(times):
         logits = torch.randn(100, 3, dtype=torch.float64)
         scale = 10 ** torch.empty(100, 3, 2, dtype=torch.float64).uniform_(-1, 0)
         near = torch.rand(100, 1, 1) < 0.5

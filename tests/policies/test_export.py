@@ -29,7 +29,12 @@ KINDS = {
 }  # fmt: skip
 
 
-SLOW = {"shared_mode", "gru_residual"}  # to export; others of their kind are not
+SLOW = {
+    "shared_mode",
+    "gru_residual",
+    "gru_mode",
+    "two_grus",
+}  # to export; others of their kind are not
 
 
 @pytest.mark.parametrize(

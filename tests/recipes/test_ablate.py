@@ -75,6 +75,7 @@ def test_a_study_marks_what_failed_and_runs_what_is_shared_once(studies, tmp_pat
     assert without_speed(tmp_path, "tiny") == before
 
 
+@pytest.mark.slow
 def test_a_study_killed_and_started_again_gives_the_same_table(studies, tmp_path):
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["recipes.ablate"])

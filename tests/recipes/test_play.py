@@ -20,8 +20,8 @@ def test_playing_a_run_writes_its_figures(tmp_path):
 
 
 def test_baselines_play_in_the_env_that_is_given(tmp_path):
-    """Servos that act stand for two seconds, without servos the robot falls."""
-    where = [f"hydra.run.dir={tmp_path}", "seconds=2.0", "video=false", "num_envs=2"]
+    """Servos that act stand for three seconds, without servos the robot falls."""
+    where = [f"hydra.run.dir={tmp_path}", "seconds=3.0", "video=false", "num_envs=2"]
     for name, env, fell in (("pose_hold", "zeroth_fall", 0), ("limp", "push_recovery", 64)):
         done = run("play", f"run={name}", f"env={env}", *where)
         assert "num_envs: 64, for worlds are played by 64" in done.stdout

@@ -29,7 +29,9 @@ KNEELING = (
 )
 
 
-@pytest.mark.parametrize("part", [RECURRENT, REALISTIC, KNEELING])
+@pytest.mark.parametrize(
+    "part", [RECURRENT, *(pytest.param(p, marks=pytest.mark.slow) for p in (REALISTIC, KNEELING))]
+)  # these two are killed in test_killed.py, too
 def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -183,7 +185,7 @@ def test_ctrl_c_while_a_training_is_built_leaves_nothing(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("presses", [1, 2])
+@pytest.mark.parametrize("presses", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_ctrl_c_amid_a_save_leaves_a_sound_checkpoint(presses, tmp_path, monkeypatch):
     """Once lets the update end; twice ends at once, with the checkpoint before."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
