@@ -126,7 +126,7 @@ def _check_physics(battery: Battery, env: TransformedEnv) -> None:
             raise ValueError(
                 f"battery {battery.name} must be the only one to set "
                 f"{min(params.keys() & transform.params.keys())}: take the randomisation out of "
-                "keep, or name it in training_only."
+                "keep or of battery.world.physics, or name it in training_only."
             )
 
 
