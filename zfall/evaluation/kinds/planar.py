@@ -109,7 +109,7 @@ def success_by_size(summaries: Mapping[str, dict[str, Any]]) -> Table:
     """Success by impulse and the headline figures, one column per policy."""
     first = next(iter(summaries.values()))
     duration = first["definition"]["duration"]
-    title = f"planar, {first['n']} trials each: share recovered, 95 % interval"
+    title = f"{first['battery']}, {first['n']} trials each: share recovered, 95 % interval"
     out = Table(title=title, box=SIMPLE)
     out.add_column(f"push I (N for {duration:g} s)")
     for name in summaries:
