@@ -59,6 +59,18 @@ def test_partial_reset_draws_for_its_rows_alone(make_task):
     assert (after != before).any(-1, keepdim=True).tolist() == rows.tolist()
 
 
+def test_a_parameter_is_the_same_whatever_else_is_drawn(make_task):
+    mass, friction = (
+        {"link_mass": {"uniform": [0.9, 1.1]}},
+        {"foot_friction": {"uniform": [0.5, 1.5]}},
+    )
+    both = randomized(make_task, mass | friction).reset()["params"]
+    alone = randomized(make_task, friction).reset()["params"]
+    assert torch.equal(both["foot_friction"], alone["foot_friction"])
+    shares = (both["link_mass"][:, 0] - 0.9) / 0.2, both["foot_friction"][:, 0] - 0.5
+    assert not torch.isclose(*shares, atol=1e-3).any()  # not one number used twice
+
+
 def test_values_change_within_an_episode_at_the_interval(make_task):
     params = {"battery_voltage": {"uniform": [0.8, 1.0]}}
     env = randomized(make_task, params, interval=0.2)

@@ -78,13 +78,17 @@ def check_recorded(transform: Transform, spec: Composite, keys: Iterable[NestedK
         )
 
 
-def streams_of(transform: Transform) -> Stream:
+def streams_of(transform: Transform, part: str | None = None) -> Stream:
     """Where a transform draws its random numbers: one stream for each world of its env.
 
     They are those of the name that it has in a table of ``make_env``, else of its class.
+
+    Args:
+        transform: that draws.
+        part: of what it draws, with streams of its own; ``None`` if there is one kind of draw.
     """
     purpose = transform.__dict__.get("_purpose", type(transform).__name__)
-    return base_env_of(transform).streams.of(purpose)
+    return base_env_of(transform).streams.of(f"{purpose}.{part}" if part else purpose)
 
 
 def name_streams(name: str, transform: Transform) -> None:

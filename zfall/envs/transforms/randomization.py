@@ -101,7 +101,7 @@ class DomainRandomization(Transform):
             name: draw(
                 distribution,
                 self.spec[name].shape[1],
-                streams_of(self),
+                streams_of(self, name),  # whatever else is drawn
                 rows,
                 self.ranges.get(name, ANY_NUMBER),
             )
