@@ -111,6 +111,8 @@ class HumanoidEnv(EnvBase):
         self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
         self.control_dt, self.physics_dt = control_dt, physics_dt
         self.regions, self.ball, self.servos = robot.regions, ball, servos
+        if servos and servo_dynamics:  # which takes off what is lost in front of the shaft
+            servos = {joint: each.before_gears() for joint, each in servos.items()}
         parts: dict[str, Any] = {"push_points": push_points, "ball": ball, "servos": servos}
         model = compile_model(robot, physics_dt=physics_dt, powered=powered, **parts)
         check_memory(model, num_envs, substeps)
@@ -119,10 +121,8 @@ class HumanoidEnv(EnvBase):
         self.num_bodies = model.nbody - 1
         self.mass = float(model.body_mass.sum()) - (ball.mass if ball else 0.0)
         self.parameters = PhysicsParameters(model, robot, num_envs, servos, servo_dynamics)
-        self.servo_dynamics: ServoDynamics | None = None
-        if servo_dynamics:
-            each = (robot.joints, servos, self.parameters.values)
-            self.servo_dynamics = ServoDynamics(model, *each, control_dt)
+        given = (model, robot.joints, servos, self.parameters.values, control_dt)
+        self.servo_dynamics = ServoDynamics(*given) if servo_dynamics else None
         self.streams = Streams(num_envs)
         self.joint_range = joint_range(model, robot)
         self.stand_position = torch.tensor(robot.stand_position)

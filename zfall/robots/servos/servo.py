@@ -1,7 +1,7 @@
 """A servo: its datasheet, and the constants of the physics that follow from it."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NoReturn
 
 from zfall.robots.servos.friction import gear_friction
@@ -211,6 +211,21 @@ class Servo:
         constants = {name: self.need(name) for name in LOAD_FRICTION}
         added = gear_friction(motor_torque, external_torque, speed, **constants)
         return self.need("friction") + float(added)
+
+    def before_gears(self) -> "Servo":
+        """The servo by what its motor gives in front of the losses under load.
+
+        Of the stall torque S at the shaft, measured after all losses, the motor's is
+        ``(S (1 + e + s) + friction) / (1 - m)``, with the shares of ``gear_friction``. Where that
+        acts on the shaft, this servo meets the sheet; its speed without a load stays.
+
+        Raises:
+            ValueError: if a share is not known.
+        """
+        kept = 1.0 + self.need("external_load_friction") + self.need("stribeck_load_friction")
+        motor = self.stall_torque * kept + self.need("friction")
+        motor /= 1.0 - self.need("motor_load_friction")
+        return replace(self, stall_torque=motor - self.need("friction"))
 
     def copper_loss(self, torque: float) -> float:
         """Heat in the winding while the motor gives a torque [W].
