@@ -1,5 +1,7 @@
 """Plots are written and not empty."""
 
+from pathlib import Path
+
 import imageio.v2 as imageio
 import numpy as np
 import pandas as pd
@@ -114,7 +116,12 @@ def test_every_figure_is_drawn(tmp_path, ending):
 def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
     """By dashes and marks, for they are grey; of curves, profiles and traces."""
     drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
+
+    def drawn_to(figure: Figure, path: Path, **kwargs: object) -> None:
+        drawn.append(figure)
+        path.touch()
+
+    monkeypatch.setattr(Figure, "savefig", drawn_to)
     names = "abcdefgh"
     steps = np.linspace(0.0, 1.0, 20)
     curve = pd.DataFrame({"frames": steps + 1.0, "episode_seconds": steps})

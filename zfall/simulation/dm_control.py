@@ -148,6 +148,11 @@ class PhysicsSimulation:
         """Velocities ``(1, nv)`` float64."""
         return torch.from_numpy(self.physics.data.qvel)[None]
 
+    def field(self, name: str) -> NDArray[np.float64]:
+        """Values of a field of ``mjModel`` ``(1, *shape of the field)``."""
+        value: NDArray[np.float64] = getattr(self.model, name)
+        return value[None]
+
     def step(self, control: Tensor) -> Tensor:
         """Takes S physics steps; see ``Simulation.step``."""
         model, data = self.model, self.physics.data.ptr
