@@ -51,6 +51,9 @@ def test_a_place_before_hardware_that_goes_is_kept(compose_config):
     assert table.index("action") < table.index("mine") < table.index("push")
 
 
+SERVO = {"_target_": "zfall.robots.servos.servo", "name": "STS3250"}
+
+
 @pytest.mark.parametrize(
     ("world", "message"),
     [
@@ -59,6 +62,10 @@ def test_a_place_before_hardware_that_goes_is_kept(compose_config):
         ({"commands": 3}, "world.commands must be a table, got 3"),
         ({"commands": {"late": {**DELAY, "dely": 1}}}, "world.commands.*late.dely"),
         ({"commands": {"late": {**DELAY, "delay": [2, 1]}}}, "world.commands.*late.delay"),
+        (
+            {"base_env": {"servos": {"knee": {**SERVO, "x": 1}}}},
+            "world.base_env.servos.knee: x must",
+        ),
     ],
 )
 def test_what_is_no_world_is_refused(world, message):

@@ -8,11 +8,13 @@ the robot, declares what it ``estimates``.
 from collections.abc import Mapping
 from typing import Any
 
-from hydra.utils import get_object
+from hydra.errors import InstantiationException
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 from torchrl.envs import TransformedEnv
 
 from zfall.envs.make import in_place, left_out
+from zfall.errors import at, in_one_line
 from zfall.static_checks import check_nodes
 
 PARTS = ("commands", "physics", "sensors")
@@ -43,6 +45,10 @@ def check_world(world: World | None, place: str = "world") -> None:
     for part in PARTS:  # under a name that lets them have a place, as in an env
         check_nodes({"transforms": dict(_of(world, part))}, f"{place}.{part}")
     check_nodes(dict(world.get("base_env", {})), f"{place}.base_env")
+    try:  # its servos, whose annotations do not say all
+        instantiate(dict(world.get("base_env", {})), _convert_="all")
+    except InstantiationException as error:
+        raise ValueError(at(f"{place}.base_env", in_one_line(error))) from error
 
 
 def in_world(env_cfg: DictConfig, world: World | None) -> DictConfig:
