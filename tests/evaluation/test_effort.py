@@ -58,7 +58,7 @@ def test_the_limit_is_what_the_servos_could_give_in_the_step(make_base):
     assert share[0] == pytest.approx(0.93)
     assert share[1] < 0.9 * share[0]
     env.step(far.clone())
-    effort, largest = Effort(env), STS3250.motor_torque() * share
+    effort, largest = Effort(env), STS3250.before_gears().motor_torque() * share
     for part in (0.96, 0.94):
         td = TensorDict(
             {"joint_torque": part * largest.expand(2, 20), "joint_velocity": torch.zeros(2, 20),
