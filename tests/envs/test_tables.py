@@ -50,15 +50,16 @@ def test_transforms_are_known_by_what_their_class_declares(compose_config):
 
 @pytest.mark.parametrize("task", options_of("env"))
 def test_every_task_takes_the_servos_of_the_sheets(compose_config, task):
-    """The legs then give 4.99 N m in place of 8.45, friction included; the twin always does."""
+    """The legs then give 4.99 N m in place of 8.45; the twin's motors, before their gears, 7.21."""
     limits = []
     for servos in ("published", "datasheet"):
         cfg = compose_config(f"env={task}", f"servo={servos}", "num_envs=1").env
         model = instantiate(cfg.base_env, _convert_="all").simulation.model
         limits.append(float(model.actuator("left_knee_pitch").forcerange[1]))
-    sheet = 4.9033 + 0.0873
-    published = sheet if task == "push_recovery_twin" else 8.4546
-    assert limits == pytest.approx([published, sheet], rel=1e-4)
+    behind = 4.9033 + 0.0873, 8.4546
+    before = (4.9033 * 1.386 + 0.0873) / 0.955
+    expected = [before, before] if task == "push_recovery_twin" else [behind[1], behind[0]]
+    assert limits == pytest.approx(expected, rel=1e-4)
 
 
 def test_published_servos_add_nothing_to_the_config(compose_config):
