@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
 
-from zfall.errors import in_one_line
+from zfall.errors import in_one_line, why_unfit
 from zfall.trust import config_of_file
 
 FORMAT = 7  # raise it when policies written before can no longer be read
@@ -225,8 +225,7 @@ def reading(path: Path) -> Iterator[None]:
     except (HydraException, OmegaConfBaseException) as error:  # which name the key
         raise ValueError(f"{path}: {in_one_line(error)}") from error
     except (KeyError, TypeError, AttributeError, IndexError, RuntimeError) as error:
-        why = f"lacks {error}" if isinstance(error, KeyError) else in_one_line(error)
-        raise ValueError(f"{path} must fit what reads it: {why}") from error
+        raise ValueError(f"{path} must fit what reads it: {why_unfit(error)}") from error
 
 
 def check_fits(content: dict[str, Any], robot: str, actor: torch.nn.Module, path: Path) -> None:

@@ -6,11 +6,7 @@ hydra builds something later, and messages name rule, value and repair.
 """
 
 import math
-from collections.abc import (
-    Iterable,
-    Mapping,
-    Sequence,
-)
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from numbers import Integral, Real

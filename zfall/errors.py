@@ -84,6 +84,11 @@ def named(place: str) -> Iterator[None]:
         raise ValueError(at(place, in_one_line(error))) from error
 
 
+def why_unfit(error: Exception) -> str:
+    """What is wrong with something read from a file, of the error that using it raised."""
+    return f"lacks {error}" if isinstance(error, KeyError) else in_one_line(error)
+
+
 def at(place: str, reason: str) -> str:
     """A reason with the place in front, as one key if it begins with one itself."""
     return f"{place}{'.' if _KEY_FIRST.match(reason) else ': '}{reason}" if place else reason

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from zfall.errors import in_one_line
+from zfall.errors import why_unfit
 
 _REPAIR = "take another copy, or remove it."
 
@@ -51,5 +51,5 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _refusal(path: Path, rule: str, error: Exception) -> str:
-    why = f"lacks {error}" if isinstance(error, KeyError) else in_one_line(error)
+    why = why_unfit(error)
     return f"{path} must be {rule}, it is damaged or of another kind ({why}): {_REPAIR}"

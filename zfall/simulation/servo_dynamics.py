@@ -32,8 +32,8 @@ STATE = ("load_friction", "conductance", "emf_current", "overload_time", "overlo
 class ServoDynamics:
     """Servos of all worlds on one supply each.
 
-    With the motor's torque M (back-EMF included), the duty d and the speed w of a servo, and the
-    currents at stall I and torques at stall M0 of its sheet at the voltage V0:
+    With the motor's torque M (back-EMF included), the duty d and the speed w of a servo, its
+    current at stall I and the torque at stall M0 of its motor, at the voltage V0 of the sheet:
 
     - **friction**: ``Servo.gear_friction(M, E, w)``. The torque E from outside is what the mean
       motion of the step leaves: ``armature acceleration - M + viscous w`` and the dry friction,
@@ -50,7 +50,7 @@ class ServoDynamics:
     Args:
         model: the compiled model, with an actuator and a sensor ``joint_torque/NAME`` of each.
         joints: names of the joints J.
-        servos: by joint.
+        servos: by joint, with what their motors give: ``Servo.before_gears``.
         values: of ``PhysicsParameters``, ``load_friction`` ``(N, J)`` and ``supply_resistance``
             ``(N, 1)`` among them; looked at in each step.
         control_dt: time between two calls of ``act`` [s].

@@ -53,3 +53,21 @@ def key_shapes(env: HumanoidEnv, name: str, keys: Iterable[str]) -> dict[str, to
             f"got {unknown[0]}."
         )
     return {key: there[key].shape for key in keys}
+
+
+def check_not_measured(spec: Composite, name: str, key: NestedKey) -> None:
+    """Refuses an estimate of what an earlier transform has measured already.
+
+    Args:
+        spec: of the observations so far.
+        name: of the transform, for the error.
+        key: that it writes.
+
+    Raises:
+        ValueError: if the key is there.
+    """
+    if key in spec.keys(True):
+        raise ValueError(
+            f"{name} must stand before other transforms that measure the same, but {key} is "
+            "already there; noise on an estimate stands after it."
+        )
