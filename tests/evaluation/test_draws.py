@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from matplotlib.figure import Figure
 from scipy.stats import fisher_exact
 from tensordict import TensorDict
 
@@ -68,3 +69,29 @@ def test_equal_values_leave_a_third_empty_and_a_constant_has_no_row():
 
 def test_where_all_trials_end_alike_nothing_explains_it():
     assert success_by_draw(trials([*range(9)], [True] * 9))["p"].tolist() == [1.0]
+
+
+def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, path, **settings: figures.append((path.name, self))
+    )
+    rng = np.random.default_rng(0)
+    latency, friction = rng.random((2, 600))
+    table = trials(latency.tolist(), (latency < 0.5).tolist(), friction=friction.tolist())
+    assert Draws.figures(table, tmp_path, "mine") == ["draws.png", "draws.pdf"]
+    assert [name for name, _ in figures] == ["draws.png", "draws.pdf"]
+    (axes,) = figures[0][1].axes
+    assert axes.get_title() == "mine"
+    shown = [label.get_text().split()[0] for label in axes.get_yticklabels()]
+    assert shown == ["latency", "friction"]
+    assert axes.yaxis_inverted()
+    found = success_by_draw(table)
+    for part, line in zip(("low", "middle", "high"), axes.get_lines(), strict=True):
+        np.testing.assert_allclose(line.get_xdata(), 100 * found[part])
+
+
+def test_without_draws_there_is_no_plot(tmp_path):
+    table = pd.DataFrame({"impulse": [0.1], "recovered": [True]})
+    assert Draws.figures(table, tmp_path, "mine") == []
+    assert list(tmp_path.iterdir()) == []

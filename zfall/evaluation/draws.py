@@ -1,5 +1,6 @@
 """What was drawn of physics and hardware in each trial, and what of it explains failures."""
 
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +12,8 @@ from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.followers import Ended, Moment
+from zfall.evaluation.plots import thirds_plot
+from zfall.evaluation.writers import write_figures
 
 PARTS = ("low", "middle", "high")  # thirds of the trials, by the value of a parameter
 COLUMN = "drawn/"
@@ -51,6 +54,14 @@ class Draws:
         """``draws``, the table of ``success_by_draw``; nothing where nothing is drawn."""
         table = success_by_draw(trials)
         return {"draws": table} if len(table) else {}
+
+    @staticmethod
+    def figures(trials: pd.DataFrame, folder: Path, title: str) -> list[str]:
+        """``draws``, the same table as a plot."""
+        table = success_by_draw(trials)
+        if not len(table):
+            return []
+        return write_figures(folder, "draws", lambda path: thirds_plot(table, path, title=title))
 
 
 def success_by_draw(trials: pd.DataFrame) -> pd.DataFrame:

@@ -28,6 +28,7 @@ CAPTIONS = {
     "envelope": "Largest impulse recovered from, by direction and push point.",
     "overlay": "I50 by direction of all runs.",
     "profiles": "Share of directions in which I50 is at least as large.",
+    "draws": "Share recovered by thirds of what was drawn; what explains most at the top.",
     "bands": "Learning curves, mean and interval over seeds.",
 }
 

@@ -84,6 +84,10 @@ def write_results(result: Result, folder: Path, console: Console) -> None:
     written = kind_of(result.battery).write(result, folder)
     for name, table in result.tables.items():
         written.files += write_table(folder, name, table)
+    title = f"{result.name}, {folder.name.replace('_', ' ')}"
+    for follower in followers_of(result.battery):
+        if hasattr(follower, "figures"):
+            written.files += follower.figures(result.trials, folder, title)
     _print(written, console)
     summary = result.summary
     console.print(f"falls without a push {summary['control_falls']} of {summary['control_n']}")

@@ -13,6 +13,7 @@ from zfall.evaluation.plots.fits import fit_plot  # noqa: E402
 from zfall.evaluation.plots.heat import withstood_map  # noqa: E402
 from zfall.evaluation.plots.polar import envelope_plot, overlay, success_map  # noqa: E402
 from zfall.evaluation.plots.profiles import profiles_plot  # noqa: E402
+from zfall.evaluation.plots.thirds import thirds_plot  # noqa: E402
 from zfall.evaluation.plots.traces import trace_plot  # noqa: E402
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "overlay",
     "profiles_plot",
     "success_map",
+    "thirds_plot",
     "trace_plot",
     "withstood_map",
 ]

@@ -1,0 +1,37 @@
+"""Success by thirds of what was drawn."""
+
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+PARTS = {"low": "v", "middle": "o", "high": "^"}
+
+
+def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
+    """A row for each drawn parameter: success in the thirds with its low, middle, high values.
+
+    Args:
+        table: of ``success_by_draw``; the first row comes to the top.
+        path: file to write; its ending gives the format.
+        title: above the plot.
+    """
+    figure = Figure(figsize=(5.2, 1.2 + 0.24 * len(table)), layout="constrained")
+    axes, places = figure.subplots(), range(len(table))
+    shares = 100 * table[[*PARTS]]
+    axes.hlines(places, shares.min(axis=1), shares.max(axis=1), color="0.7", lw=1.5)
+    for number, (part, marker) in enumerate(PARTS.items()):
+        axes.plot(shares[part], places, marker, color=f"C{number}", ms=5, label=f"{part} third")
+    names = [
+        f"{row.parameter}  {row.smallest:.3g} to {row.largest:.3g}"
+        for row in table.itertuples(index=False)
+    ]
+    axes.set_yticks(places, names, fontsize=8)
+    axes.invert_yaxis()
+    axes.tick_params(labelsize=8)
+    axes.set_xlabel("recovered [%]", fontsize=8)
+    axes.set_xlim(left=0.0)
+    axes.grid(alpha=0.3, axis="x")
+    axes.set_title(title, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    figure.savefig(path, dpi=150)
