@@ -158,6 +158,11 @@ TABLE = {  # in the order of a yaml
     "base_pose": {"_target_": f"{_SENSING}.BasePose"},
     "feet": {"_target_": f"{_SENSING}.FeetInBase"},
     "imu": {"_target_": f"{_SENSING}.ImuOrientation"},
+    "history": {
+        "_target_": f"{_SENSING}.ObservationHistory",
+        "keys": [IMU[0], "joint_position"],
+        "steps": 2,
+    },
     "observation": {
         "_target_": f"{_SENSING}.ObservationVector",
         "out_key": "observation",

@@ -7,14 +7,16 @@ are, for rewards and the critic; ``ObservationVector(measured=True)`` reads the 
 follows stands in the order of the hardware: bias and noise of the sensor, its resolution, messages
 that get lost, then the estimators of ``estimation`` and the quantities of ``derived``.
 
-TorchRL's ``CatFrames(N=4, dim=-1, in_keys=["observation"], out_keys=["observation"])`` after the
-vector stacks the last four observations; it starts again in the rows of a partial reset.
+``ObservationHistory`` lets a policy without a memory look back. TorchRL's
+``CatFrames(N=4, dim=-1, in_keys=["observation"], out_keys=["observation"])`` after the vector
+stacks whole observations; what it makes has no mirror image for ``symmetry=``.
 """
 
 from zfall.envs.transforms.observations.bias import ObservationBias, ObservationRandomWalk
 from zfall.envs.transforms.observations.delay import ObservationDelay
 from zfall.envs.transforms.observations.derived import BasePose, FeetInBase, ImuOrientation
 from zfall.envs.transforms.observations.dropout import ObservationDropout
+from zfall.envs.transforms.observations.history import ObservationHistory
 from zfall.envs.transforms.observations.neighbours import CAPSNeighbours
 from zfall.envs.transforms.observations.noise import ObservationNoise
 from zfall.envs.transforms.observations.normalized import NormalizedVector
@@ -31,6 +33,7 @@ __all__ = [
     "ObservationBias",
     "ObservationDelay",
     "ObservationDropout",
+    "ObservationHistory",
     "ObservationNoise",
     "ObservationRandomWalk",
     "ObservationVector",

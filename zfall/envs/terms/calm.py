@@ -1,0 +1,61 @@
+"""What counts at rest alone: a robot that nobody pushes is to stand still, with idle servos.
+
+Each of these is multiplied by ``at_rest``, so that it asks for nothing while the robot saves
+itself.
+"""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from zfall.envs.terms.balance import capture_point
+from zfall.values import Positive
+
+
+def at_rest(td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive) -> Tensor:
+    """Near 1 while the robot could stop where it is, on both feet: ``exp(-|xi|^2 / reach^2)``.
+
+    xi is the capture point of ``balance.capture_point``; 0 unless both feet touch the floor.
+    Reads what that reads, and ``feet_contact`` ``(*B, 2)``; ``reach`` [m]. Returns ``(*B, 1)`` in
+    [0, 1].
+    """
+    value = capture_point(td, next_td, sigma=reach)
+    return torch.where(next_td["feet_contact"].all(-1, keepdim=True), value, 0.0)
+
+
+def still_joints(
+    td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive, sigma: Positive
+) -> Tensor:
+    """High while joints stand still at rest: ``at_rest exp(-mean(speed^2) / sigma^2)``.
+
+    Reads ``joint_velocity`` ``(*B, J)`` [rad/s] and what ``at_rest`` reads; ``reach`` [m],
+    ``sigma`` [rad/s]. Returns ``(*B, 1)`` in [0, 1].
+    """
+    return _calm(next_td["joint_velocity"], sigma) * at_rest(td, next_td, reach=reach)
+
+
+def still_targets(
+    td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive, sigma: Positive
+) -> Tensor:
+    """High while targets stand still at rest: ``at_rest exp(-mean(change^2) / sigma^2)``.
+
+    The change is that of ``target`` ``(*B, J)`` [rad] in the step. Reads what ``at_rest`` reads
+    besides; ``reach`` [m], ``sigma`` [rad]. Returns ``(*B, 1)`` in [0, 1].
+    """
+    change = next_td["target"] - td["target"]
+    return _calm(change, sigma) * at_rest(td, next_td, reach=reach)
+
+
+def idle_servos(
+    td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive, sigma: Positive
+) -> Tensor:
+    """High while servos carry little at rest: ``at_rest exp(-mean(torque^2) / sigma^2)``.
+
+    Reads ``joint_torque`` ``(*B, J)`` [N m] and what ``at_rest`` reads; ``reach`` [m], ``sigma``
+    [N m]. Returns ``(*B, 1)`` in [0, 1].
+    """
+    return _calm(next_td["joint_torque"], sigma) * at_rest(td, next_td, reach=reach)
+
+
+def _calm(value: Tensor, sigma: float) -> Tensor:
+    return torch.exp(-value.square().mean(-1, keepdim=True) / sigma**2)
