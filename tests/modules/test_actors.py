@@ -204,6 +204,29 @@ def test_past_layers_that_give_nothing_a_residual_actor_is_linear():
     assert_close(actor.get_dist(td).mean, td["observation"] @ weight.T + bias)
 
 
+def test_an_encoder_and_layers_behind_the_memory_are_those_of_an_mlp():
+    """With cells of zeros and a residual what is left is the encoder, a linear layer, the layers
+    behind and the head, by hand."""
+    actor = gru_actor(
+        *specs(), encoder_cells=[24], num_cells=[32], activation="tanh", residual=True,
+        normalize=False, components=0, num_layers=1,
+    )  # fmt: skip
+    encoder, gru, _, last = actor[0]
+    for parameter in gru.parameters():
+        parameter.data.zero_()
+    td = TensorDict({"observation": torch.randn(2, 50), "is_init": torch.ones(2, 1).bool(),
+                     "recurrent_state_actor": torch.zeros(2, 1, 64)}, batch_size=[2])  # fmt: skip
+    first, second = encoder.module[0][0], encoder.module[1]
+    third, head = last.module[0][0], last.module[1].mean
+    hidden = torch.tanh(td["observation"] @ first.weight.T + first.bias)
+    assert hidden.shape == (2, 24)
+    hidden = torch.tanh((hidden @ second.weight.T + second.bias) @ third.weight.T + third.bias)
+    assert hidden.shape == (2, 32)
+    expected = hidden @ head.weight.T + head.bias
+    assert expected.abs().max() > 1e-4
+    assert_close(actor.get_dist(td).mean, expected)
+
+
 @pytest.mark.parametrize("residual", [False, True])
 def test_replaying_a_sequence_gives_the_log_probabilities_of_collection(residual):
     """With resets at known and at random places, and a state carried in from before."""

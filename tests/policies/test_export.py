@@ -25,12 +25,14 @@ KINDS = {
     "gru_mode": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, statistic="mode"),
     "lstm": lambda: lstm_actor(SPEC, ACTION, num_layers=2),
     "two_grus": lambda: two_grus_actor(SPEC, ACTION),
+    "gru_encoder": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=1, encoder_cells=[6], num_cells=[7]),
     "gru_residual": lambda: gru_actor(SPEC, ACTION, hidden_size=8, num_layers=2, residual=True),
 }  # fmt: skip
 
 
 SLOW = {
     "shared_mode",
+    "gru_encoder",
     "gru_residual",
     "gru_mode",
     "two_grus",

@@ -60,11 +60,14 @@ def gru_trunk(
     *,
     role: str,
     in_key: str,
+    encoder_cells: Sequence[int] = (),
+    activation: str = "elu",
 ) -> tuple[TensorDictModule, StackedGRU]:
     """A linear layer and stacked GRU cells: ``in_key`` ``(*B, size)`` -> ``features_ROLE``.
 
-    Weights are drawn layer by layer: ``orthogonal``, those of each gate by themselves, with biases
-    of zero, or as torch does by itself, ``default``. The hidden state is ``recurrent_state_ROLE``.
+    In front of the linear layer there may be an ``mlp_trunk`` of ``encoder_cells``. Weights are
+    drawn layer by layer: ``orthogonal``, those of each gate by themselves, with biases of zero, or
+    as torch does by itself, ``default``. The hidden state is ``recurrent_state_ROLE``.
 
     Raises:
         ValueError: on an unknown initialization, or no layer or cell.
@@ -73,7 +76,8 @@ def gru_trunk(
     for name, value in (("hidden_size", hidden_size), ("num_layers", num_layers)):
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value}.")
-    linear = nn.Linear(size, hidden_size)
+    front = [mlp_trunk(size, encoder_cells, activation, initialization)] if encoder_cells else []
+    linear = nn.Linear(encoder_cells[-1] if encoder_cells else size, hidden_size)
     embedding, features, hidden = f"embedding_{role}", f"features_{role}", hidden_key(role)
     gru = StackedGRU(hidden_size, num_layers, embedding, features, hidden)
     if initialization == "orthogonal":
@@ -83,7 +87,7 @@ def gru_trunk(
             else:
                 for gate in values.split(hidden_size):
                     nn.init.orthogonal_(gate)
-    encoder = nn.Sequential(*normalizer(size, normalize), linear)
+    encoder = nn.Sequential(*normalizer(size, normalize), *front, linear)
     return TensorDictModule(encoder, in_keys=[in_key], out_keys=[embedding]), gru
 
 
@@ -171,12 +175,18 @@ def gru_actor(
     num_layers: Count = 3,
     components: Whole = 3,
     initialization: Initialization = "default",
+    encoder_cells: Sequence[Count] = (),
+    num_cells: Sequence[Count] = (),
+    activation: Activation = "elu",
     residual: bool = False,
     normalize: bool = True,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
     **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
-    """Recurrent actor: a linear layer, stacked GRU cells, a head.
+    """Recurrent actor: layers of an encoder, stacked GRU cells, layers, a head.
+
+    Without ``encoder_cells`` and ``num_cells`` the encoder is one linear layer, and the head reads
+    the GRU: all but the GRU's gates is then linear.
 
     Reads ``observation`` ``(*B, D)``, ``is_init`` and its own hidden state under
     ``recurrent_state_actor`` ``(*B, num_layers, hidden_size)``, whose successor it writes under
@@ -188,6 +198,9 @@ def gru_actor(
         num_layers: number of GRU layers.
         components: Gaussians per joint; 0 for a plain Gaussian.
         initialization: of these layers, see ``gru_trunk``.
+        encoder_cells: widths of layers in front of the linear layer that the GRU reads.
+        num_cells: widths of layers between the GRU and the head.
+        activation: behind each of both: ``elu``, ``relu`` or ``tanh``.
         residual: whether what the GRU layers read is added to what the last of them gives, so that
             they learn a correction of it (He et al., "Deep residual learning for image
             recognition", CVPR 2016).
@@ -199,7 +212,7 @@ def gru_actor(
         ValueError: on another statistic or initialization, or a mixture of fixed deviation.
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
-    out = make_head(hidden_size, joints, components=components, **head)
+    out = make_head([hidden_size, *num_cells][-1], joints, components=components, **head)
     encoder, gru = gru_trunk(
         size,
         hidden_size,
@@ -208,12 +221,17 @@ def gru_actor(
         initialization,
         role="actor",
         in_key="observation",
+        encoder_cells=encoder_cells,
+        activation=activation,
     )
     modules = [encoder, gru]
     if residual:
         added = [gru.out_keys[0], gru.in_keys[0]]
         modules.append(TensorDictModule(torch.add, in_keys=added, out_keys=added[:1]))
-    modules.append(TensorDictModule(out, in_keys=gru.out_keys[:1], out_keys=list(out.keys)))
+    last: nn.Module = out
+    if num_cells:
+        last = nn.Sequential(mlp_trunk(hidden_size, num_cells, activation, initialization), out)
+    modules.append(TensorDictModule(last, in_keys=gru.out_keys[:1], out_keys=list(out.keys)))
     module = TensorDictSequential(*modules)
     return _actor(module, out, statistic)
 
