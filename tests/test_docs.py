@@ -307,7 +307,8 @@ def test_an_own_loss_keeps_the_actions_small_with_a_large_weight(in_folder, comp
 def test_an_own_ppo_takes_part_in_training(in_folder, compose_config):
     """With factor 1 it is PPO, with 0 bad actions teach nothing."""
     in_folder("my_ppo.py")
-    small = ("num_envs=8", "rollout_steps=8", "loss.normalize_advantage=null")
+    still = ("loss.normalize_advantage=null", "statistics_batches=0")
+    small = ("num_envs=8", "rollout_steps=8", *still)
     losses = {}
     for below in (1.0, 0.0):
         own = ("+loss._target_=my_ppo.OptimisticPPOLoss", f"+loss.below={below}")

@@ -20,7 +20,7 @@ def test_burn_in_starts_from_the_memory_of_the_present_weights(compose_config, c
 
     Episodes of five steps begin at steps 2 and 7 of the batch: at the cut itself, or before it.
     """
-    sizes = ("num_envs=6", "rollout_steps=8")
+    sizes = ("num_envs=6", "rollout_steps=8", "statistics_batches=0")
     learner = Learner(compose_config(*sizes, *networks, "env.transforms.limit.seconds=0.2"))
     learner.collect()
     batch = learner.collect().select(*learner._learned)

@@ -204,7 +204,7 @@ def test_every_parameter_learns(learner):
 
 def test_weight_of_the_divergence_adapts_and_is_resumed(compose_config):
     """A target far below what an update does, then one far above it."""
-    sizes = ("num_envs=8", "rollout_steps=8", "loss=icub")
+    sizes = ("num_envs=8", "rollout_steps=8", "loss=icub", "symmetry=none")
     learner = Learner(compose_config(*sizes, "loss.kl_target=1e-6"))
     for factor in (1.0, 1.5):
         out = learner.learn(learner.collect())
@@ -409,7 +409,8 @@ def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, a
 
 def test_a_shared_normaliser_counts_every_observation_once(compose_config):
     learner = Learner(
-        compose_config("num_envs=4", "rollout_steps=3", "env=atalante_standing", "critic.normalize=shared")
+        compose_config("num_envs=4", "rollout_steps=3", "env=atalante_standing",
+                       "critic.normalize=shared", "statistics_batches=0")
     )  # fmt: skip
     assert normalizer_of(learner.critic) is normalizer_of(learner.actor)
     for _ in range(2):
@@ -497,6 +498,7 @@ def test_one_pass_of_the_policy_gives_all_losses_what_passes_of_their_own_would(
         f"actor={actor}",
         "auxiliary_share=0.5",
         "env.transforms.limit.seconds=0.36",
+        "statistics_batches=0",
     )  # nine steps: ends within the second batch
     learner = Learner(compose_config(*options, "caps=atalante", "symmetry=loss"))
     for parameter in learner.actor.parameters():  # away from a policy that does nothing
@@ -708,7 +710,7 @@ FAULTS = [
     (["augmentation={_target_: 4}"], "augmentation._target_ must be .*dotted path.*, got 4"),
     (["+auxiliary_losses.own={_target_: math.pi}"], "own._target_ must name a class or a function, got math.pi"),
     (["+auxiliary_losses.own={_target_: a..b}"], "auxiliary_losses.own._target_ must name some"),
-    (["caps=atalante", "+auxiliary_losses.caps.neighbour_key=near"],
+    (["caps=atalante", "symmetry=none", "+auxiliary_losses.caps.neighbour_key=near"],
      "auxiliary_losses.caps must read what env or networks give, not near"),
     (["caps=atalante", "symmetry=augmentation", "+auxiliary_losses.caps.neighbour_key=near"],
      "auxiliary_losses.caps.neighbour_key must be observation_neighbour for the augmentation"),
@@ -779,7 +781,8 @@ def test_a_loss_under_another_name_is_refused(compose_config):
 
 def test_a_task_needs_no_terminations_no_divergence_and_no_table_of_its_reward(compose_config):
     without = ("env.transforms.terminations=null", "env.transforms.limit.seconds=0.2")
-    learner = Learner(compose_config(*without, "num_envs=4", "rollout_steps=8"))
+    sizes = ("num_envs=4", "rollout_steps=8", "statistics_batches=0")
+    learner = Learner(compose_config(*without, *sizes))
     batch = learner.collect()
     seen = batch.exclude(("next", "reward_terms"), ("next", "diverged"))
     metrics = batch_metrics(seen, learner.carrier, 0.04)

@@ -109,7 +109,14 @@ def without_a_beginning(observation_spec, action_spec):
 )
 def test_a_memory_that_cannot_be_carried_is_refused_before_collection(compose_config, actor, rule):
     with pytest.raises(ValueError, match=rule):
-        Learner(compose_config(*SIZES, *of(HERE + actor, None)))
+        Learner(compose_config(*SIZES, *of(HERE + actor, None), "symmetry=none"))
+
+
+def test_a_memory_that_is_not_carried_cannot_be_mirrored(compose_config):
+    rule = "augmentation: what networks see must be given by the env to be mirrored, recurrent_"
+    mirrored = (*of(HERE + "without_successors", None), "symmetry=augmentation")
+    with pytest.raises(ValueError, match=rule):
+        Learner(compose_config(*SIZES, *mirrored))
 
 
 def test_sequences_do_not_borrow_from_an_actor_that_lends_nothing(compose_config):

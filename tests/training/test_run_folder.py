@@ -26,7 +26,12 @@ from zfall.training.run_folder import LOCK, RunFolder
 
 def test_rows_of_metrics_keep_their_columns_when_no_episode_ends(tmp_path):
     """The first batch of 4 steps ends no episode, later ones do."""
-    more = ["total_frames=256", "env.transforms.limit.seconds=0.2", f"hydra.run.dir={tmp_path}"]
+    more = [
+        "total_frames=256",
+        "statistics_batches=0",
+        "env.transforms.limit.seconds=0.2",
+        f"hydra.run.dir={tmp_path}",
+    ]
     done = run("train", *TINY, *more)
     assert done.returncode == 0, done.stderr
     metrics = pd.read_csv(tmp_path / "metrics.csv")

@@ -169,7 +169,7 @@ def mirror_quantity(robot: Robot, name: str, declared: Declared | None = None) -
         names = ", ".join((*_SIGNS, *_FOOT_SIGNS, *special, *known))
         raise ValueError(
             f"a mirrored quantity must be one of {names}; got {name}. A transform that writes "
-            "another one declares its mirror_signs, or mirror_like."
+            "another one declares its mirror_signs, or mirror_like; without it, symmetry=none."
         )
     return special[name]()
 

@@ -53,11 +53,16 @@ class TaskFacts:
         """The reflection of the action, of an observation, or of a quantity by itself.
 
         Raises:
-            ValueError: if a quantity in it has no known mirror image.
+            ValueError: if the env does not give it, or a quantity in it has no known mirror image.
         """
         base = self.env.base_env
         if key == "action":
             return mirror_action(base.robot, self.env.action_spec.shape[-1])
+        if key not in self.env.observation_spec.keys(True):
+            raise ValueError(
+                f"what networks see must be given by the env to be mirrored, {key} is not; without "
+                "mirror images, symmetry=none."
+            )
         size = self.env.observation_spec[key].shape[-1]
         spans, vector, frames = self._vector(key)
         if not spans:

@@ -7,9 +7,9 @@ are, for rewards and the critic; ``ObservationVector(measured=True)`` reads the 
 follows stands in the order of the hardware: bias and noise of the sensor, its resolution, messages
 that get lost, then the estimators of ``estimation`` and the quantities of ``derived``.
 
-``ObservationHistory`` lets a policy without a memory look back. TorchRL's
+``ObservationHistory`` lets a policy without a memory look back at some quantities. TorchRL's
 ``CatFrames(N=4, dim=-1, in_keys=["observation"], out_keys=["observation"])`` after the vector
-stacks whole observations; what it makes has no mirror image for ``symmetry=``.
+stacks whole observations; it starts again in the rows of a partial reset.
 """
 
 from zfall.envs.transforms.observations.bias import ObservationBias, ObservationRandomWalk
