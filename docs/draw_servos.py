@@ -26,7 +26,7 @@ SERVOS = {"left_knee_pitch": STS3250, "left_elbow_roll": STS3215}  # one joint o
 HELD = 1.5 * GRAVITY * 0.1 * math.sin(math.pi / 4)  # [N m]
 MEASURED_ERROR = (20 * STS3215.resolution, 30 * STS3215.resolution)  # [rad]
 TICK, SHARE = 1 / 30, 0.25  # [s], (1)
-LATENCY = 0.0225  # the middle of the twin's [s]
+LATENCY = 0.025  # the middle of the twin's, jitter included [s]
 STEP = 0.1  # [rad]
 
 
@@ -82,12 +82,12 @@ def draw_steps(axes: Axes) -> None:
 
 
 def draw_errors(axes: Axes) -> None:
-    """Errors at rest under a load that was lifted or let down, and those that were measured."""
+    """Errors at rest between those of a load just let down and just lifted, and the measured."""
     before_gears, loads = STS3215.before_gears(), np.linspace(0.0, 1.5, 61)
 
     def error(load: float, sign: float) -> float:  # the friction acts against the motion, or holds
         def rest(motor: float) -> float:
-            return motor - load - sign * STS3215.gear_friction(motor, load, 0.0)
+            return motor - load - sign * STS3215.gear_friction(motor, -load, 0.0)  # E against M
 
         return math.degrees(brentq(rest, -1.0, 5.0) / before_gears.stiffness())
 
@@ -97,13 +97,13 @@ def draw_errors(axes: Axes) -> None:
         [error(load, 1.0) for load in loads],
         color="C0",
         alpha=0.3,
-        label="with losses under load",
+        label="law, losses under load",
     )
     low, high = (
         np.degrees((loads + sign * STS3215.need("friction")) / STS3215.stiffness())
         for sign in (-1.0, 1.0)
     )
-    axes.fill_between(loads, low, high, color="0.5", alpha=0.5, label="without")
+    axes.fill_between(loads, low, high, color="0.5", alpha=0.5, label="law, without")
     axes.plot([HELD] * 2, np.degrees(MEASURED_ERROR), "k", linewidth=4, label="measured")
     axes.set(title="STS3215 at rest, kp 32", xlabel="load [N m]", ylabel="error [deg]")
     axes.set(xlim=(0, 1.5), ylim=(0, None))
