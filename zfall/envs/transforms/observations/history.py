@@ -1,5 +1,7 @@
 """What was measured in the steps before."""
 
+from contextlib import suppress
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -10,6 +12,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.mirror import Permutation, mirror_quantity
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.observations.measured import read_measured
+from zfall.envs.transforms.values import reset_rows
 from zfall.values import Count, Names
 
 
@@ -17,7 +20,8 @@ class ObservationHistory(Transform):
     """Keeps what was measured in the control steps before, for a policy without a memory.
 
     Each quantity of size D gives ``steps x D`` numbers, the step just before first. After a reset
-    all of them are what is measured then: the robot was at rest.
+    all of them are what is measured then, as if the robot had stood so before. Mirrored, each step
+    is the image of that step; angles that the other side cannot take are not clamped.
 
     Keys: reads ``keys``, as measured where they are; writes ``("history", key)``
     ``(N, steps * D)``, which ``ObservationVector`` lines up: ``keys: [tilt, [history, tilt]]``.
@@ -37,22 +41,29 @@ class ObservationHistory(Transform):
         super().__init__(in_keys=list(keys), out_keys=[("history", key) for key in keys])
         needs_env(self, env, "the steps before")
         self.keys, self.steps = list(keys), steps
-        self.mirror_signs = {f"history/{key}": self._mirror(env, key) for key in self.keys}
+        self.mirror_signs: dict[str, Permutation] = {}
+        for key in self.keys:
+            # Of a step's own value too: by the next step others may have written over it.
+            self.register_buffer(f"past_{key}", torch.zeros(env.num_envs, 0))
+            with suppress(ValueError):  # who mirrors what has no image is told then
+                self.mirror_signs[f"history/{key}"] = self._mirror(env, key)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.keys:
-            before = self._flat(tensordict, key)
-            older = tensordict["history", key][..., : -before.shape[-1]]
-            next_tensordict["history", key] = torch.cat([before, older], -1)
+            now, past = self._flat(next_tensordict, key), getattr(self, f"past_{key}")
+            next_tensordict["history", key] = past
+            setattr(self, f"past_{key}", torch.cat([now, past[:, : -now.shape[1]]], -1))
         return next_tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        base_env_of(self)
+        rows = reset_rows(tensordict, self)[:, None]
         for key in self.keys:
-            now = self._flat(tensordict_reset, key)
-            tensordict_reset["history", key] = now.repeat(1, self.steps)
+            begin = self._flat(tensordict_reset, key).repeat(1, self.steps)
+            past = getattr(self, f"past_{key}")
+            tensordict_reset["history", key] = begin
+            setattr(self, f"past_{key}", torch.where(rows, begin, past))
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -62,8 +73,10 @@ class ObservationHistory(Transform):
                 names = ", ".join(map(str, observation_spec.keys(True, True)))
                 raise ValueError(f"keys must name quantities made before it ({names}), got {key}.")
             worlds, *shape = observation_spec[key].shape
-            size = self.steps * torch.Size(shape).numel()
-            observation_spec["history", key] = Unbounded((worlds, size))
+            size = (worlds, self.steps * torch.Size(shape).numel())
+            observation_spec["history", key] = Unbounded(size)
+            if getattr(self, f"past_{key}").shape != size:  # only now known
+                setattr(self, f"past_{key}", torch.zeros(size))
         return observation_spec
 
     def _flat(self, tensordict: TensorDictBase, key: str) -> Tensor:
