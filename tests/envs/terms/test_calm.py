@@ -1,14 +1,18 @@
 """Terms that count at rest alone, by hand."""
 
 import math
+from functools import partial
 
 import pytest
 import torch
 from tensordict import TensorDict
 
-from zfall.envs.terms.calm import at_rest, idle_servos, still_joints, still_targets
+from zfall.envs.terms.calm import at_rest, idle_servos, still_actions, still_joints
+from zfall.envs.transforms.actions import JointPositionTarget
+from zfall.envs.transforms.rewards import WeightedReward
+from zfall.envs.transforms.windows import LastAction
 
-BEFORE = TensorDict({"target": torch.zeros(1, 20)}, batch_size=[1])
+BEFORE = TensorDict({k: torch.zeros(1, 20) for k in ("action", "last_action")}, [1])
 
 
 def standing(*, away: float = 0.0, contact: tuple[bool, bool] = (True, True)) -> TensorDict:
@@ -20,7 +24,6 @@ def standing(*, away: float = 0.0, contact: tuple[bool, bool] = (True, True)) ->
         "feet_contact": torch.tensor([contact]),
         "joint_velocity": torch.zeros(1, 20),
         "joint_torque": torch.zeros(1, 20),
-        "target": torch.zeros(1, 20),
     }
     return TensorDict(values, batch_size=[1])
 
@@ -40,20 +43,30 @@ def test_who_lifts_a_foot_is_not_at_rest(contact):
 
 @pytest.mark.parametrize(
     ("term", "key"),
-    [(still_joints, "joint_velocity"), (still_targets, "target"), (idle_servos, "joint_torque")],
+    [(still_joints, "joint_velocity"), (still_actions, "action"), (idle_servos, "joint_torque")],
 )
 def test_each_falls_with_the_mean_square_over_joints(term, key):
     """Of 20 joints five at 0.4 have a mean square of 0.04: 1/e at a sigma of 0.2."""
-    td = standing()
-    assert term(BEFORE, td, reach=0.04, sigma=0.2).item() == 1.0
-    td[key][:, :5] = 0.4
-    assert term(BEFORE, td, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-1))
-    td["com_position"][:, 0] = 0.04
-    assert term(BEFORE, td, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-2))
-
-
-def test_targets_count_by_their_change():
     before, after = BEFORE.clone(), standing()
-    before["target"] += 0.7
-    after["target"] += 0.9
-    assert still_targets(before, after, reach=1.0, sigma=0.2).item() == pytest.approx(math.exp(-1))
+    assert term(before, after, reach=0.04, sigma=0.2).item() == 1.0
+    (before if key == "action" else after)[key][:, :5] = 0.4
+    assert term(before, after, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-1))
+    after["com_position"][:, 0] = 0.04
+    assert term(before, after, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-2))
+
+
+def test_actions_count_by_their_change_in_an_env_as_well(make_task):
+    """Not by what the step has written already: the second step asks for 0.2 more than the first."""
+    still = partial(still_actions, reach=10.0, sigma=0.2)
+    env = make_task({
+        "action": (JointPositionTarget, {"scale": 0.1}),
+        "last": (lambda base: LastAction(), {}),
+        "reward": (WeightedReward, {"terms": {"still": [1.0, still]}}),
+    })  # fmt: skip
+    td, seen = env.reset(), []
+    for action in (0.1, 0.3, 0.3):
+        td = env.step(td.set("action", torch.full((4, 20), action)))["next"]
+        seen.append(td["reward"][0].item())
+    calm = seen[2]
+    assert calm == pytest.approx(1.0, abs=1e-2)
+    assert seen[1] == pytest.approx(calm * math.exp(-1), rel=1e-2)

@@ -34,15 +34,16 @@ def still_joints(
     return _calm(next_td["joint_velocity"], sigma) * at_rest(td, next_td, reach=reach)
 
 
-def still_targets(
+def still_actions(
     td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive, sigma: Positive
 ) -> Tensor:
-    """High while targets stand still at rest: ``at_rest exp(-mean(change^2) / sigma^2)``.
+    """High while the action stays at rest: ``at_rest exp(-mean(change^2) / sigma^2)``.
 
-    The change is that of ``target`` ``(*B, J)`` [rad] in the step. Reads what ``at_rest`` reads
-    besides; ``reach`` [m], ``sigma`` [rad]. Returns ``(*B, 1)`` in [0, 1].
+    The change is that from ``last_action`` to ``action`` ``(*B, J)`` before the step, without
+    unit, like ``sigma``. Reads what ``at_rest`` reads besides; ``reach`` [m]. Returns ``(*B, 1)``
+    in [0, 1].
     """
-    change = next_td["target"] - td["target"]
+    change = td["action"] - td["last_action"]
     return _calm(change, sigma) * at_rest(td, next_td, reach=reach)
 
 
