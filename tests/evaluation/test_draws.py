@@ -87,8 +87,14 @@ def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_
     assert shown == ["latency", "friction"]
     assert axes.yaxis_inverted()
     found = success_by_draw(table)
-    for part, line in zip(("low", "middle", "high"), axes.get_lines(), strict=True):
-        np.testing.assert_allclose(line.get_xdata(), 100 * found[part])
+    bars, *thirds = axes.collections
+    for part, drawn in zip(("low", "middle", "high"), thirds, strict=True):
+        np.testing.assert_allclose(drawn.get_offsets()[:, 0], 100 * found[part])
+        assert drawn.get_facecolor()[:, 3].tolist() == [
+            1.0,
+            0.3,
+        ]  # latency explains, friction does not
+    assert len(bars.get_segments()) == 2
 
 
 def test_without_draws_there_is_no_plot(tmp_path):

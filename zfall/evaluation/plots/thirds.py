@@ -2,14 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 
 PARTS = {"low": "v", "middle": "o", "high": "^"}
+CHANCE = 0.05
 
 
 def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
     """A row for each drawn parameter: success in the thirds with its low, middle, high values.
+
+    Rows that chance explains as well, with a p above ``CHANCE``, are faint.
 
     Args:
         table: of ``success_by_draw``; the first row comes to the top.
@@ -19,11 +24,15 @@ def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
     figure = Figure(figsize=(5.2, 1.2 + 0.24 * len(table)), layout="constrained")
     axes, places = figure.subplots(), range(len(table))
     shares = 100 * table[[*PARTS]]
-    axes.hlines(places, shares.min(axis=1), shares.max(axis=1), color="0.7", lw=1.5)
+    clear = np.where(table["p"] <= CHANCE, 1.0, 0.3)
+    grey = to_rgba_array("0.7", clear)
+    axes.hlines(places, shares.min(axis=1), shares.max(axis=1), colors=list(grey), lw=1.5)
     for number, (part, marker) in enumerate(PARTS.items()):
-        axes.plot(shares[part], places, marker, color=f"C{number}", ms=5, label=f"{part} third")
+        colors = to_rgba_array(f"C{number}", clear)
+        axes.scatter(shares[part], places, s=25, c=colors, marker=marker)
+        axes.plot([], [], marker, color=f"C{number}", ms=5, label=f"{part} third")
     names = [
-        f"{row.parameter}  {row.smallest:.3g} to {row.largest:.3g}"
+        f"{row.parameter}  {row.smallest:.3g} to {row.largest:.3g}   p {row.p:.1g}"
         for row in table.itertuples(index=False)
     ]
     axes.set_yticks(places, names, fontsize=8)
