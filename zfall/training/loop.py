@@ -73,7 +73,8 @@ def resumed_config(
                 f"only {', '.join(free)} may change."
             )
     cfg = DictConfig(OmegaConf.create(stored))
-    for name, default in compose_config().items():  # for a run from before
+    # What a run from before these keys did; an experiment says what new ones do.
+    for name, default in compose_config(["~experiment"]).items():
         if name not in cfg:
             cfg[name] = default
     for key in (override.partition("=")[0] for override in overrides):
