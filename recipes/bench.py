@@ -75,9 +75,13 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     from zfall.training.learner import Learner
 
     overrides = [f"{k}={cfg[k]}" for k in ("num_envs", "rollout_steps", "seed")]
-    networks = {"mlp": [], "gru": ["actor=gru_mog"]}
-    networks |= {f"{name}_losses": [*LOSSES, *more] for name, more in networks.items()}
-    learners = {k: Learner(compose_config([*overrides, *more])) for k, more in networks.items()}
+    networks: dict[str, list[str]] = {"mlp": [], "gru": ["actor=gru_mog"]}
+    added = {"": ["symmetry=none"], "_losses": LOSSES}
+    learners = {
+        f"{name}{ending}": Learner(compose_config([*overrides, *network, *more]))
+        for ending, more in added.items()
+        for name, network in networks.items()
+    }
     for learner in learners.values():  # warm up, and have policies that move
         learner.learn(learner.collect())
     mlp, full_cfg = learners["mlp"], compose_config([*overrides, FULL])

@@ -12,7 +12,7 @@ from tests.shell import run
 
 STUDY = """
 name: tiny
-base: [experiment=quickstart, num_envs=16, rollout_steps=4, checkpoint_every=1]
+base: [experiment=quickstart_studied, num_envs=16, rollout_steps=4, checkpoint_every=1]
 rows: {none: [], mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]}
 seeds: [0, 1]
 total_frames: 256

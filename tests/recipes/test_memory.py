@@ -24,6 +24,7 @@ def test_a_direction_shown_once_is_known_a_second_later_by_a_memory_alone(
     cfg = compose_config(
         "num_envs=64", f"rollout_steps={STEPS}", "epochs=4", "minibatches=2", f"actor={actor}",
         "critic.num_cells=[32]", "loss.lmbda=0.0", "optimizer.lr=5e-3", "scheduler=null",
+        "symmetry=none", "statistics_batches=0",
     )  # fmt: skip
     if actor == "gru_mog":
         cfg.actor.hidden_size, cfg.actor.num_layers, cfg.actor.components = 16, 1, 0

@@ -162,8 +162,8 @@ BAD = [
     (["actor.activation=gelu"], "actor.activation must be elu or relu or tanh, got gelu"),
     (["actor=mlp_mog", "+actor.learn_std=false"], "learn_std must be true with components"),
     (
-        ["experiment=atalante_standing_laptop", "actor=gru_gaussian"],
-        "did you mean num_layers? '~actor.num_cells' takes it out",
+        ["experiment=atalante_standing_laptop", "critic=gru"],
+        "did you mean num_layers? '~critic.num_cells' takes it out",
     ),
     (["resume=nowhere"], "resume must be a run folder, there is no folder nowhere"),
     (["hydra.run.dir=/proc/zfall"], "/proc/zfall"),
