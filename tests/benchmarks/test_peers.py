@@ -31,7 +31,7 @@ def test_best_number_of_workers_is_what_counts(monkeypatch):
 @pytest.mark.parametrize("falls", [False, True])
 def test_peer_of_gymnasium_does_the_same_work(compose_config, falls):
     """With nothing random: the observations, rewards and the end of our own env."""
-    cfg = compose_config("num_envs=1").env
+    cfg = compose_config("num_envs=1", "servo=published").env
     cfg.training_only.observation_critic = False
     cfg.transforms.observation_critic["keys"].pop()  # the push, left out too
     ours, peer = instantiate(cfg, training=False), peers.GymnasiumPeer(training=False)

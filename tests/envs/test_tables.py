@@ -64,8 +64,8 @@ def test_every_task_takes_the_servos_of_the_sheets(compose_config, task):
 
 def test_published_servos_add_nothing_to_the_config(compose_config):
     """So that runs from before there was a choice stay what they are."""
-    assert "servos" not in compose_config().env.base_env
-    assert compose_config("servo=published") == compose_config()
+    assert "servos" not in compose_config("servo=published").env.base_env
+    assert compose_config("~experiment", "servo=published") == compose_config("~experiment")
 
 
 def test_one_joint_takes_another_servo_or_gain_by_one_value(compose_config):
@@ -79,7 +79,7 @@ def test_one_joint_takes_another_servo_or_gain_by_one_value(compose_config):
 
 
 def test_servos_can_be_changed_in_the_table_of_a_run(compose_config):
-    env = compose_config().env
+    env = compose_config("servo=published").env
     sheet = changed(env, ["servo=datasheet", "base_env.servos.left_knee_pitch.kp=22"])
     assert sheet.base_env.servos.left_knee_pitch.kp == 22
     assert "servos" not in env.base_env
