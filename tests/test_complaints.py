@@ -72,6 +72,9 @@ def test_the_key_the_rule_and_the_value_are_named(change, text):
         (NODE | {"_partial_": True}, Callable[[], Any], None),
         (NODE | {"_partial_": True}, Sequence[int], "a must be built at once: take its _partial_ out."),
         (NODE, Sequence[int], None),
+        ({"_target_": "f", "_partial_": True}, tuple[float | None, Callable[[], Any]],
+         "a must be a list, [a number or null, a table with a _target_ and _partial_: true], got "
+         "{'_target_': 'f', '_partial_': True}."),
         (3, Any, None),
         (4, Annotated[int, Rule("be odd", lambda x: x % 2), Rule("be small", lambda x: x < 9)],
          "a must be odd, got 4."),
