@@ -77,11 +77,8 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     overrides = [f"{k}={cfg[k]}" for k in ("num_envs", "rollout_steps", "seed")]
     networks: dict[str, list[str]] = {"mlp": [], "gru": ["actor=gru_mog"]}
     added = {"": ["symmetry=none"], "_losses": LOSSES}
-    learners = {
-        f"{name}{ending}": Learner(compose_config([*overrides, *network, *more]))
-        for ending, more in added.items()
-        for name, network in networks.items()
-    }
+    given = {n + end: [*more, *net] for end, more in added.items() for n, net in networks.items()}
+    learners = {k: Learner(compose_config([*overrides, *more])) for k, more in given.items()}
     for learner in learners.values():  # warm up, and have policies that move
         learner.learn(learner.collect())
     mlp, full_cfg = learners["mlp"], compose_config([*overrides, FULL])

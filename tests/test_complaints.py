@@ -72,6 +72,7 @@ def test_the_key_the_rule_and_the_value_are_named(change, text):
         (NODE | {"_partial_": True}, Callable[[], Any], None),
         (NODE | {"_partial_": True}, Sequence[int], "a must be built at once: take its _partial_ out."),
         (NODE, Sequence[int], None),
+        (NODE, tuple[float, float], None),
         ({"_target_": "f", "_partial_": True}, tuple[float | None, Callable[[], Any]],
          "a must be a list, [a number or null, a table with a _target_ and _partial_: true], got "
          "{'_target_': 'f', '_partial_': True}."),

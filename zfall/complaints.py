@@ -129,10 +129,10 @@ def _of_any(value: Any, kinds: Sequence[Any], place: str, depth: int) -> _Compla
 
 def _of_node(value: Any, kind: Any, place: str, depth: int) -> _Complaint | None:
     """Whether a table is built at once or called later; what it builds is seen then."""
-    if get_origin(kind) is tuple and Ellipsis not in get_args(kind):
-        entries = ", ".join(map(described, get_args(kind)))
-        return _must(place, f"be a list, [{entries}]", value, depth + 1)
     if value.get("_partial_") and not is_callable(kind):
+        if get_origin(kind) is tuple and Ellipsis not in get_args(kind):  # a part of what it takes
+            entries = ", ".join(map(described, get_args(kind)))
+            return _must(place, f"be a list, [{entries}]", value, depth + 1)
         return _Complaint(f"{place} must be built at once: take its _partial_ out.", depth + 1)
     return None
 

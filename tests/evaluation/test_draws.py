@@ -90,10 +90,8 @@ def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_
     bars, *thirds = axes.collections
     for part, drawn in zip(("low", "middle", "high"), thirds, strict=True):
         np.testing.assert_allclose(drawn.get_offsets()[:, 0], 100 * found[part])
-        assert drawn.get_facecolor()[:, 3].tolist() == [
-            1.0,
-            0.3,
-        ]  # latency explains, friction does not
+        # Latency explains, friction does not.
+        assert drawn.get_facecolor()[:, 3].tolist() == [1.0, 0.3]
     assert len(bars.get_segments()) == 2
 
 
