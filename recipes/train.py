@@ -45,21 +45,22 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
 
     from zfall.evaluation.showcase import show
     from zfall.training.begin import begin
-    from zfall.training.loop import train
+    from zfall.training.loop import train_stages
     from zfall.training.run_folder import full_disk_named
 
     console = Console()
     with one_line_errors(), full_disk_named(folder):
         learner, run, untrained = begin(folder, cfg, HydraConfig.get().overrides.task, console)
-    if not train(learner, run, console):
+    trained = train_stages(learner, run, console)
+    if trained is None:
         line = shell_line("train", f"resume={shown_path(folder)}")
         console.print(f"stopped; go on with: {line}", soft_wrap=True)
         raise SystemExit(130)
-    showcase = learner.cfg.showcase
+    showcase = trained.cfg.showcase
     if showcase:
-        show(learner.cfg, learner.policy, untrained, folder, console)
+        show(trained.cfg, trained.policy, untrained, folder, console)
         if showcase.video and (folder / "video.mp4").exists():
-            for line in run.loggers.log_film(folder / "video.mp4", learner.frames):
+            for line in run.loggers.log_film(folder / "video.mp4", run.frames(trained)):
                 console.print(line, soft_wrap=True)
     else:
         console.print(f"wrote {shown_path(folder)}", soft_wrap=True)

@@ -25,6 +25,7 @@ _MEASURES = [
 # Key: what a config without it means. The date is that of the change.
 MISSING: dict[str, Any] = {
     "alike": 1,  # 2026-11-26: every world begins by itself
+    "stages": {},  # 2026-11-27: there was one part
     "statistics_batches": 0,  # 2026-11-27: the first batch was learned from with statistics of 0, 1
     "battery.planar.kind": _PLANAR,  # 2026-11-27: the kind followed from which numbers were given
     "battery.kneel.kind": _KNEEL,  # 2026-11-27

@@ -13,6 +13,7 @@ from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
 from zfall.training.loop import number_of_updates, resumed_config, try_one_step
 from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
+from zfall.training.stages import check_stages, stage_reached
 from zfall.training.warm_start import warm_start
 from zfall.trust import config_of_file, targets_of, trusting
 
@@ -35,7 +36,9 @@ def begin(
     if cfg.resume is not None:
         state = checkpoint.load(path, checkpoint.TRAINING)
         check_version(state["run"], folder)
-        cfg = resumed_config(state["config"], cfg, overrides, folder)
+        stored = state["run"].get("whole_config", state["config"])
+        config_of_file(stored, path)  # before anything of it is built
+        cfg = resumed_config(stored, cfg, overrides, folder)
     elif holds_run(folder):
         resumable = path.exists()
         repair = f"resume={shown_path(folder)} goes on with it" if resumable else "remove it"
@@ -45,11 +48,15 @@ def begin(
         )
     with trusting(targets_of(cfg)):  # what is trained must be readable, too
         config_of_file(OmegaConf.to_yaml(cfg, resolve=True), folder)
-    try_one_step(cfg.env)
-    learner = Learner(cfg)
-    if cfg.warm_start is not None:
+    if state is None:
+        check_stages(cfg)
+    with checkpoint.reading(path):
+        stage = stage_reached(cfg, state)
+    try_one_step(stage.config.env)
+    learner = Learner(stage.config)
+    if stage.config.warm_start is not None:
         try:
-            warm_start(learner, cfg.warm_start)
+            warm_start(learner, stage.config.warm_start)
         except (ValueError, OSError):
             if state is None:  # a run that goes on needs it only to show what was before
                 raise
@@ -60,7 +67,7 @@ def begin(
         if number_of_updates(learner) < state["updates"]:
             raise ValueError(
                 f"total_frames must not be less than the {state['frames']} that {folder} has "
-                f"behind it, got {cfg.total_frames}."
+                f"behind it, got {stage.config.total_frames}."
             )
         with checkpoint.reading(path):
             notes = learner.load_state_dict(state)

@@ -81,4 +81,5 @@ class TrainKeys(TypedDict):
     critic: Node
     loss: Mapping[str, Any]
     trust: Sequence[Name]
+    stages: Mapping[str, Any]
     experiment: NotRequired[Any]

@@ -24,6 +24,7 @@ from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
+from zfall.training.stages import stage_reached
 from zfall.training.warm_start import warm_start
 from zfall.trust import targets_of, trusting
 
@@ -65,9 +66,10 @@ def resumed_config(
         ValueError: on a value that cannot change in the middle of a run.
     """
     free = ("total_frames", "checkpoint_every", "showcase", "logger", "name")
-    for override in overrides:
-        key = override.partition("=")[0]
-        if key not in _OF_THE_CALL and key.split(".")[0] not in free:
+    keys = [override.partition("=")[0].lstrip("+") for override in overrides]
+    for key in keys:
+        length = key.startswith("stages.") and key.endswith(".total_frames")
+        if key not in _OF_THE_CALL and key.split(".")[0] not in free and not length:
             raise ValueError(
                 f"{key} must not be given with resume, it is that of {folder}; "
                 f"only {', '.join(free)} may change."
@@ -77,7 +79,7 @@ def resumed_config(
     for name, default in compose_config(["~experiment"]).items():
         if name not in cfg:
             cfg[name] = default
-    for key in (override.partition("=")[0] for override in overrides):
+    for key in keys:
         if key not in _OF_THE_CALL:
             OmegaConf.update(cfg, key, OmegaConf.select(given, key), merge=False)
     return cfg
@@ -93,20 +95,37 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         ValueError: if another process trains there.
     """
     with full_disk_named(folder), owned(folder), quiet_threads():
-        learner, run = Learner(cfg), RunFolder(folder, cfg)
         path = folder / "checkpoints" / "last.pt"
+        state = None
         if path.exists():
-            with trusting(targets_of(cfg)):  # all of them are built already
+            with trusting(targets_of(cfg)):  # all of them are built in any case
                 state = checkpoint.load(path, checkpoint.TRAINING)
             check_version(state["run"], folder)
+        stage = stage_reached(cfg, state)
+        learner, run = Learner(stage.config), RunFolder(folder, cfg)
+        if state is not None:
             with checkpoint.reading(path):
                 notes = learner.load_state_dict(state)
                 notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)
-        elif cfg.warm_start is not None:
-            warm_start(learner, cfg.warm_start)
-        return train(learner, run, console)
+        elif stage.config.warm_start is not None:
+            warm_start(learner, stage.config.warm_start)
+        return train_stages(learner, run, console) is not None
+
+
+def train_stages(learner: Learner, run: RunFolder, console: Console) -> Learner | None:
+    """Trains the stage at hand and those after it.
+
+    Returns:
+        The learner of the last; None if ctrl-c ended it early.
+    """
+    while train(learner, run, console):
+        following = run.next_stage(learner)
+        if following is None:
+            return learner
+        learner = following
+    return None
 
 
 def number_of_updates(learner: Learner) -> int:
@@ -115,11 +134,11 @@ def number_of_updates(learner: Learner) -> int:
 
 
 def train(learner: Learner, run: RunFolder, console: Console) -> bool:
-    """The learning loop: collect, learn, write down; False if ctrl-c ended it early."""
+    """The learning loop of a stage: collect, learn, write down; False if ctrl-c ended it early."""
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total = number_of_updates(learner)
     with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
-        task = bar.add_task("train", total=total, completed=learner.updates, note="")
+        task = bar.add_task(run.stage.name or "train", total=total, completed=learner.updates, note="")
         while learner.updates < total:
             times = [time.perf_counter()]
             batch = learner.collect()
@@ -140,8 +159,9 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
             bar.update(task, completed=learner.updates, note=note)
             if not console.is_terminal and learner.updates % 10 == 0:
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
-                console.print(f"{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
-            if stop.is_set() and learner.updates < total:
+                of = f"{run.stage.name} " if run.stage.name else ""
+                console.print(f"{of}{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
+            if stop.is_set() and not (learner.updates == total and run.at_last_stage):
                 run.save(learner, "last")
                 return False
     return True

@@ -17,6 +17,7 @@ from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
 from zfall.training.optimizers import learning_rates
 from zfall.training.rows import append_row, keep_rows
+from zfall.training.stages import Stage, build_stage, checkpoint_of_stage, stages_of, written_out
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
@@ -107,11 +108,18 @@ class RunFolder:
 
     Args:
         folder: the run folder, see ``owned``.
-        cfg: of the training, whose ``logger`` and ``name`` are read.
+        cfg: of the training, all its stages; its ``logger`` and ``name`` are read.
+
+    Attributes:
+        stage: that is trained at present.
+        before: updates and control steps of the stages before it.
     """
 
     def __init__(self, folder: Path, cfg: DictConfig):
-        self.folder = folder
+        self.folder, self.cfg = folder, cfg
+        self.stages = stages_of(cfg)
+        self.stage = self.stages[0]
+        self.before = {"updates": 0, "frames": 0}
         folder.mkdir(parents=True, exist_ok=True)
         self.loggers = Loggers(cfg.get("logger") or [], folder, cfg.get("name"))
         (folder / "checkpoints").mkdir(exist_ok=True)  # by which a folder is known to be a run's
@@ -139,21 +147,23 @@ class RunFolder:
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
         self.note(metrics)
-        row = {"update": learner.updates, "frames": learner.frames, **self.last, **metrics}
+        row = {"update": self.updates(learner), "frames": self.frames(learner)}
+        row |= {"stage": self.stage.number} if self.stage.name else {}
+        row |= {**self.last, **metrics}
         row |= {key: losses.pop(key) for key in ("kl", "passes")}
         row |= learning_rates(learner.optimizer)
         for key, value in losses.items():
             row[key if "/" in key else f"loss/{key.removeprefix('loss_')}"] = value
         began, collected, ended = times
         timing = {
-            "update": learner.updates,
+            "update": row["update"],
             "collect_s": collected - began,
             "learn_s": ended - collected,
             "frames_per_s": learner.frames_per_batch / (ended - began),
         }
         for name, figures_of_update in (("metrics.csv", row), ("timing.csv", timing)):
             self.columns[name] = append_row(self.folder / name, figures_of_update)
-        self.loggers.log(row | figures | {"frames_per_s": timing["frames_per_s"]}, learner.frames)
+        self.loggers.log(row | figures | {"frames_per_s": timing["frames_per_s"]}, row["frames"])
 
     def note(self, metrics: dict[str, float]) -> None:
         """Remembers how good an update's episodes were, if any ended."""
@@ -178,14 +188,44 @@ class RunFolder:
 
     def save(self, learner: Learner, name: str) -> None:
         """Writes ``checkpoints/NAME.pt``."""
-        content = learner.state_dict() | {"run": self.state_dict(learner.updates)}
+        content = learner.state_dict() | {"run": self.state_dict(learner)}
         checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
 
-    def state_dict(self, updates: int) -> dict[str, Any]:
+    def next_stage(self, learner: Learner) -> Learner | None:
+        """Keeps what the stage at hand came to; returns the learner of the next, if there is one."""
+        if self.at_last_stage:
+            return None
+        assert self.stage.name is not None
+        self.save(learner, checkpoint_of_stage(self.folder, self.stage.name).stem)
+        self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
+        self.stage = self.stages[self.stage.number]
+        self.recent, self.best = [], ()
+        return build_stage(self.stage, self.folder)
+
+    @property
+    def at_last_stage(self) -> bool:
+        """Whether no stage follows the one at hand."""
+        return self.stage is self.stages[-1]
+
+    def updates(self, learner: Learner) -> int:
+        """Of all stages so far."""
+        return self.before["updates"] + learner.updates
+
+    def frames(self, learner: Learner) -> int:
+        """Control steps of all stages so far."""
+        return self.before["frames"] + learner.frames
+
+    def state_dict(self, learner: Learner) -> dict[str, Any]:
         """What the files need to go on from."""
+        stages = {
+            "whole_config": written_out(self.cfg),
+            "stage": self.stage.number,
+            "before": self.before,
+        }
         return {
+            **(stages if self.stage.name else {}),
             "version": VERSION,
-            "updates": updates,
+            "updates": self.updates(learner),
             "last": self.last,
             "recent": self.recent,
             "best": self.best,
@@ -198,6 +238,8 @@ class RunFolder:
         Returns:
             What its files have lost, a line for each that was damaged; training goes on without.
         """
+        self.stage = self.stages[max(0, state.get("stage", 0) - 1)]
+        self.before = dict(state.get("before", self.before))
         self.last, self.recent, self.best = state["last"], state["recent"], state["best"]
         self.columns = dict(state.get("columns", {}))
         lost = []

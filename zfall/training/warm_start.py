@@ -1,5 +1,7 @@
 """Begins a training with the weights of a policy that was trained before."""
 
+from pathlib import Path
+
 from omegaconf import OmegaConf
 
 from zfall import checkpoint
@@ -9,23 +11,24 @@ from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
 
 
-def warm_start(learner: Learner, run: str) -> None:
+def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = False) -> None:
     """Gives the actor, and the critic if it sees the same and is configured alike, a run's weights.
 
     The deviation of a plain Gaussian that does not depend on the state stays as configured, so
-    that the policy explores anew.
+    that the policy explores anew, unless it is kept.
 
     Args:
         learner: before its first update.
-        run: a run folder, or the name of a policy that ships.
+        run: a run folder, the name of a policy that ships, or the file of a checkpoint.
+        keep_deviation: whether that deviation, too, is the run's.
 
     Raises:
         ValueError: if there is no such run, or its policy sees or does something else.
     """
-    path = checkpoint_of(run, key="warm_start")
+    path = run if isinstance(run, Path) else checkpoint_of(run, key="warm_start")
     content = checkpoint.load(path)
     theirs = OmegaConf.create(content["config"])
-    check_same_interface({run: theirs, "this run": learner.cfg})
+    check_same_interface({str(run): theirs, "this run": learner.cfg})
     robot = identity_of(learner.env.base_env.robot)
     checkpoint.check_fits(content, robot, learner.actor, path)
     untold = ("activation", "std_range") if learner.cfg.actor.get("components") else ("activation",)
@@ -36,7 +39,7 @@ def warm_start(learner: Learner, run: str) -> None:
                 f"{run} and this run must have the same actor.{key}, got {one} and {other}."
             )
     state_std = any("deviation" in key for key in content["policy"])
-    own = () if state_std else ("log_std",)
+    own = () if state_std or keep_deviation else ("log_std",)
     weights = {k: v for k, v in content["policy"].items() if not k.endswith(own)}
     with checkpoint.reading(path):
         for module in (learner.actor, learner.policy):

@@ -1,0 +1,169 @@
+"""A training in several stages: the config of each, and where each begins."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from zfall.envs.tables import check_same_interface
+from zfall.errors import at
+from zfall.training.keys import TrainKeys
+from zfall.training.learner import Learner
+from zfall.training.warm_start import warm_start
+
+OF_THE_RUN = ("stages", "experiment", "resume", "trust", "name", "logger", "showcase")
+_TAKEN = ("last", "best")  # checkpoints that every run has
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of a training.
+
+    Attributes:
+        name: of the stage; None of a training that has none.
+        number: from 1 on; 0 of a training that has none.
+        config: of a training by itself.
+        begins_with: the stage before it with whose weights it begins, if any.
+        keeps_deviation: whether it explores as much as that one did at its end: if both have the
+            same ``actor.std``.
+    """
+
+    name: str | None
+    number: int
+    config: DictConfig
+    begins_with: str | None = None
+    keeps_deviation: bool = True
+
+
+def stages_of(cfg: DictConfig) -> list[Stage]:
+    """The stages of a training in their order, or the training itself as the only one.
+
+    Each is the config with the stage's values in place of its own. A stage begins with the weights
+    of the one before it, or as its ``warm_start`` says: with those of another one before it, of a
+    run or policy, or with none (``null``).
+
+    Raises:
+        ValueError: on a stage that is no table, a name that it cannot have, or a key that is that
+            of the whole run.
+    """
+    if not cfg.get("stages"):
+        return [Stage(None, 0, cfg)]
+    base = OmegaConf.to_container(cfg, resolve=False)
+    assert isinstance(base, dict)
+    stages = base.pop("stages")
+    made: list[Stage] = []
+    before: dict[str, Stage] = {}
+    for name, changes in stages.items():
+        _check(name, changes)
+        merged = {**_changed(base, changes), "stages": {}}
+        start = changes.get("warm_start", made[-1].name if made else cfg.warm_start)
+        linked = before.get(start)
+        merged["warm_start"] = None if linked else start
+        config = OmegaConf.create(merged)
+        keeps = linked is not None and linked.config.actor.get("std") == config.actor.get("std")
+        made.append(Stage(name, len(made) + 1, config, linked.name if linked else None, keeps))
+        before[name] = made[-1]
+    return made
+
+
+def written_out(cfg: DictConfig) -> str:
+    """The config of a training as yaml, in which each stage holds all of its values.
+
+    ``stages_of`` makes the same stages of it, though nothing in it refers to anything else.
+    """
+    whole = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(whole, dict)
+    for stage in stages_of(cfg) if cfg.get("stages") else ():
+        values = OmegaConf.to_container(stage.config, resolve=True)
+        assert isinstance(values, dict)
+        values["warm_start"] = stage.begins_with or stage.config.warm_start
+        whole["stages"][stage.name] = {k: v for k, v in values.items() if k not in OF_THE_RUN}
+    return OmegaConf.to_yaml(OmegaConf.create(whole))
+
+
+def check_stages(cfg: DictConfig) -> None:
+    """Refuses a training one of whose stages cannot be, before the first begins.
+
+    Every stage is set up once. One that begins with the weights of another must see and do the
+    same, by the same network.
+
+    Raises:
+        ValueError: naming the stage and the key.
+    """
+    learners: dict[str, Learner] = {}
+    for stage in stages_of(cfg) if cfg.get("stages") else ():
+        assert stage.name is not None
+        try:
+            learner = Learner(stage.config)
+            if stage.begins_with is not None:
+                start = learners[stage.begins_with]
+                check_same_interface({stage.begins_with: start.cfg, stage.name: stage.config})
+                _check_same_network(start, learner)
+        except ValueError as error:
+            raise ValueError(at(f"stages.{stage.name}", str(error))) from error
+        learners[stage.name] = learner
+
+
+def build_stage(stage: Stage, folder: Path) -> Learner:
+    """The learner of a stage, which begins as it says.
+
+    Args:
+        stage: of a training in ``folder``, where the stages before it are finished.
+        folder: of the run.
+    """
+    learner = Learner(stage.config)
+    if stage.begins_with is not None:
+        path = checkpoint_of_stage(folder, stage.begins_with)
+        warm_start(learner, path, keep_deviation=stage.keeps_deviation)
+    elif stage.config.warm_start is not None:
+        warm_start(learner, stage.config.warm_start)
+    return learner
+
+
+def stage_reached(cfg: DictConfig, state: Mapping[str, Any] | None) -> Stage:
+    """The stage of a training at which a checkpoint was written; without one the first."""
+    number = state["run"].get("stage", 0) if state else 0
+    return stages_of(cfg)[max(0, number - 1)]
+
+
+def checkpoint_of_stage(folder: Path, name: str) -> Path:
+    """Where what a stage came to is kept."""
+    return folder / "checkpoints" / f"{name}.pt"
+
+
+def _changed(value: Any, changes: Any) -> Any:
+    """A config with some of its values replaced; another class takes none of the old arguments."""
+    if not (isinstance(value, Mapping) and isinstance(changes, Mapping)):
+        return changes
+    if changes.get("_target_", value.get("_target_")) != value.get("_target_"):
+        return changes
+    return {**value, **{key: _changed(value.get(key), new) for key, new in changes.items()}}
+
+
+def _check(name: Any, changes: Any) -> None:
+    """Refuses a stage whose name or keys it cannot have."""
+    if not (isinstance(name, str) and name.isidentifier()) or name in _TAKEN:
+        raise ValueError(
+            f"stages must have names of letters, digits and _, not {' or '.join(_TAKEN)}, "
+            f"got {name!r}."
+        )
+    if not isinstance(changes, Mapping):
+        raise ValueError(f"stages.{name} must be a table of what it changes, got {changes}.")
+    own = [key for key in TrainKeys.__annotations__ if key not in OF_THE_RUN]
+    for key in changes:
+        if key not in own:
+            raise ValueError(f"stages.{name} must hold {', '.join(own)} alone, got {key}.")
+
+
+def _check_same_network(one: Learner, other: Learner) -> None:
+    shapes = [
+        {key: tuple(value.shape) for key, value in learner.actor.state_dict().items()}
+        for learner in (one, other)
+    ]
+    if shapes[0] != shapes[1]:
+        raise ValueError(
+            "actor must be that of the stage with whose weights it begins; warm_start=null begins "
+            "anew."
+        )
