@@ -50,7 +50,7 @@ def test_another_class_takes_none_of_the_old_arguments():
 
 
 def test_a_stage_begins_where_it_says():
-    made = stages(a={}, b={}, c={"warm_start": "a"}, d={"warm_start": None}, e={"warm_start": "best"})
+    made = stages(a={}, b={}, c={"warm_start": "stage:a"}, d={"warm_start": None}, e={"warm_start": "best"})
     assert [stage.begins_with for stage in made] == [None, "a", "a", None, None]
     assert [stage.config.warm_start for stage in made] == [None, None, None, None, "best"]
     sharper, same = stages(a={}, b={"actor": {"std": 0.1}}, c={"actor": {"std": 0.1}})[1:]
@@ -59,7 +59,7 @@ def test_a_stage_begins_where_it_says():
 
 def test_written_out_they_are_the_same_stages():
     """A file of a run refers to nothing."""
-    changes = {"a": {"num_envs": 4}, "b": {"actor": {"std": 0.1}}, "c": {"warm_start": "a"}}
+    changes = {"a": {"num_envs": 4}, "b": {"actor": {"std": 0.1}}, "c": {"warm_start": "stage:a"}}
     changes |= {"d": {"warm_start": None}, "e": {"warm_start": "best"}}
     text = written_out(OmegaConf.create({**BASE, "stages": changes}))
     assert "${" not in text
@@ -75,10 +75,15 @@ def test_written_out_they_are_the_same_stages():
         ("easy: {logger: null}", "alone, got logger"),
         ("easy: {env: {transforms: {push: {siez: 1}}}}", "stages.easy.env.transforms.push"),
         ("easy: {total_frames: 0}", "stages.easy: total_frames must"),
-        ("easy: {}, hard: {actor: {num_cells: [8]}}", "stages.hard: actor must be that of the stage"),
+        ("easy: {}, hard: {actor: {num_cells: [8]}}",
+         "stages.hard: stage easy must hold the configured actor, but module.0.module.1.0.bias has shape"),
         ("easy: {}, hard: {env: {transforms: {action: {scale: 0.1}}}}",
-         "stages.hard: easy and hard must have the same env.transforms.action.scale, got 0.6 and 0.1"),
-        ("easy: {warm_start: hard}, hard: {}", "warm_start must be a run folder, or one of"),
+         "stages.hard: stage easy and this run must have the same env.transforms.action.scale, got 0.6 and 0.1"),
+        ("easy: {warm_start: hard}, hard: {}", "stages.easy: warm_start must be a run folder, or one of"),
+        ("easy: {warm_start: 'stage:hard'}, hard: {}",
+         "stages.easy.warm_start must name no stage, it is the first, got stage:hard"),
+        ("easy: {}, hard: {warm_start: 'stage:esay'}",
+         "stages.hard.warm_start must name a stage before it, easy, got stage:esay"),
     ],
 )  # fmt: skip
 def test_stages_that_cannot_be_are_refused_before_the_first(given, says, tmp_path):
@@ -101,7 +106,7 @@ STAGED = [
     "statistics_batches=1",
     "showcase=null",
     "+stages={easy: {env: {transforms: {push: {size: [0.1, 0.2]}}}},"
-    " other: {num_envs: 16, total_frames: 128}, last_one: {warm_start: easy, actor: {std: 0.1}}}",
+    " other: {num_envs: 16, total_frames: 128}, last_one: {warm_start: 'stage:easy', actor: {std: 0.1}}}",
 ]
 
 

@@ -1,19 +1,23 @@
 """A training in several stages: the config of each, and where each begins."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from zfall.envs.tables import check_same_interface
+from zfall import checkpoint
 from zfall.errors import at
 from zfall.training.keys import TrainKeys
 from zfall.training.learner import Learner
 from zfall.training.warm_start import warm_start
 
 OF_THE_RUN = ("stages", "experiment", "resume", "trust", "name", "logger", "showcase")
+_LINK = "stage:"  # and the name of one: what that came to
+_LINKED_FILE = re.compile(r"/checkpoints/(\w+)\.pt")
 _TAKEN = ("last", "best")  # checkpoints that every run has
 
 
@@ -41,8 +45,9 @@ def stages_of(cfg: DictConfig) -> list[Stage]:
     """The stages of a training in their order, or the training itself as the only one.
 
     Each is the config with the stage's values in place of its own. A stage begins with the weights
-    of the one before it, or as its ``warm_start`` says: with those of another one before it, of a
-    run or policy, or with none (``null``).
+    of the one before it, or as its ``warm_start`` says: with those of another one before it,
+    ``stage:NAME``, of a run or policy, or with none (``null``). Wherever else a policy is named,
+    ``stage:NAME`` is what a stage before it came to.
 
     Raises:
         ValueError: on a stage that is no table, a name that it cannot have, or a key that is that
@@ -53,13 +58,14 @@ def stages_of(cfg: DictConfig) -> list[Stage]:
     base = OmegaConf.to_container(cfg, resolve=False)
     assert isinstance(base, dict)
     stages = base.pop("stages")
-    made: list[Stage] = []
+    made: list[Any] = []
     before: dict[str, Stage] = {}
     for name, changes in stages.items():
         _check(name, changes)
         merged = {**_changed(base, changes), "stages": {}}
-        start = changes.get("warm_start", made[-1].name if made else cfg.warm_start)
-        linked = before.get(start)
+        start = changes.get("warm_start", _LINK + made[-1].name if made else cfg.warm_start)
+        _check_links({**merged, "warm_start": start}, before, f"stages.{name}")
+        linked = before[start.removeprefix(_LINK)] if _is_link(start) else None
         merged["warm_start"] = None if linked else start
         config = OmegaConf.create(merged)
         keeps = linked is not None and linked.config.actor.get("std") == config.actor.get("std")
@@ -78,7 +84,8 @@ def written_out(cfg: DictConfig) -> str:
     for stage in stages_of(cfg) if cfg.get("stages") else ():
         values = OmegaConf.to_container(stage.config, resolve=True)
         assert isinstance(values, dict)
-        values["warm_start"] = stage.begins_with or stage.config.warm_start
+        if stage.begins_with:
+            values["warm_start"] = _LINK + stage.begins_with
         whole["stages"][stage.name] = {k: v for k, v in values.items() if k not in OF_THE_RUN}
     return OmegaConf.to_yaml(OmegaConf.create(whole))
 
@@ -86,24 +93,21 @@ def written_out(cfg: DictConfig) -> str:
 def check_stages(cfg: DictConfig) -> None:
     """Refuses a training one of whose stages cannot be, before the first begins.
 
-    Every stage is set up once. One that begins with the weights of another must see and do the
-    same, by the same network.
+    Every stage is set up once, from what the ones before it are without training.
 
     Raises:
         ValueError: naming the stage and the key.
     """
-    learners: dict[str, Learner] = {}
-    for stage in stages_of(cfg) if cfg.get("stages") else ():
-        assert stage.name is not None
-        try:
-            learner = Learner(stage.config)
-            if stage.begins_with is not None:
-                start = learners[stage.begins_with]
-                check_same_interface({stage.begins_with: start.cfg, stage.name: stage.config})
-                _check_same_network(start, learner)
-        except ValueError as error:
-            raise ValueError(at(f"stages.{stage.name}", str(error))) from error
-        learners[stage.name] = learner
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "checkpoints").mkdir()
+        for stage in stages_of(cfg) if cfg.get("stages") else ():
+            assert stage.name is not None
+            try:
+                learner = build_stage(stage, Path(folder))
+            except ValueError as error:
+                reason = _LINKED_FILE.sub(r"stage \1", str(error).replace(folder, ""))
+                raise ValueError(at(f"stages.{stage.name}", reason)) from error
+            checkpoint.save(checkpoint_of_stage(Path(folder), stage.name), learner.state_dict())
 
 
 def build_stage(stage: Stage, folder: Path) -> Learner:
@@ -113,13 +117,29 @@ def build_stage(stage: Stage, folder: Path) -> Learner:
         stage: of a training in ``folder``, where the stages before it are finished.
         folder: of the run.
     """
-    learner = Learner(stage.config)
+    learner = Learner(in_folder(stage, folder).config)
     if stage.begins_with is not None:
         path = checkpoint_of_stage(folder, stage.begins_with)
         warm_start(learner, path, keep_deviation=stage.keeps_deviation)
     elif stage.config.warm_start is not None:
         warm_start(learner, stage.config.warm_start)
     return learner
+
+
+def in_folder(stage: Stage, folder: Path) -> Stage:
+    """The same with the files of the stages that it names, in the folder of the run."""
+
+    def filled(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: filled(each) for key, each in value.items()}
+        if isinstance(value, list):
+            return [filled(each) for each in value]
+        if _is_link(value):
+            return str(checkpoint_of_stage(folder, value.removeprefix(_LINK)))
+        return value
+
+    config = filled(OmegaConf.to_container(stage.config, resolve=False))
+    return replace(stage, config=OmegaConf.create(config))
 
 
 def stage_reached(cfg: DictConfig, state: Mapping[str, Any] | None) -> Stage:
@@ -157,13 +177,16 @@ def _check(name: Any, changes: Any) -> None:
             raise ValueError(f"stages.{name} must hold {', '.join(own)} alone, got {key}.")
 
 
-def _check_same_network(one: Learner, other: Learner) -> None:
-    shapes = [
-        {key: tuple(value.shape) for key, value in learner.actor.state_dict().items()}
-        for learner in (one, other)
-    ]
-    if shapes[0] != shapes[1]:
-        raise ValueError(
-            "actor must be that of the stage with whose weights it begins; warm_start=null begins "
-            "anew."
-        )
+def _is_link(value: Any) -> bool:
+    return isinstance(value, str) and value.startswith(_LINK)
+
+
+def _check_links(value: Any, before: Mapping[str, Any], place: str) -> None:
+    """Refuses values that name a stage which is not there, or not over."""
+    if isinstance(value, Mapping | list):
+        entries = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, each in entries:
+            _check_links(each, before, f"{place}.{key}")
+    elif _is_link(value) and value.removeprefix(_LINK) not in before:
+        there = f"a stage before it, {', '.join(before)}" if before else "no stage, it is the first"
+        raise ValueError(f"{place} must name {there}, got {value}.")
