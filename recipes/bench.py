@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> None:
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():
-        share = key.startswith(("transform/", "loss/")) or key.endswith("_efficiency")
+        share = key.startswith(("transform/", "loss/")) or key.endswith(("_efficiency", "_of_physics"))
         unit = "KiB" if key == "memory_per_world" else "control steps/s"
         out.add_row(key, f"{value:.3f}" if share else f"{value:.0f} {unit}")
     console.print(out, f"wrote {folder}/bench.json")
@@ -89,6 +89,7 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
         "limit": partial(speed.bare_physics, stepper.base_env, *recorded),
         "limit_full": partial(speed.bare_physics, full_stepper.base_env, *full_recorded),
         "limit_together": partial(speed.bare_physics_together, stepper.base_env, *recorded),
+        "physics": speed.OwnPhysics(mlp.cfg, *undivided.record()).run,
         "env": stepper.run,
         "env_undivided": undivided.run,
         "env_full": full_stepper.run,
@@ -100,6 +101,7 @@ def measure(cfg: DictConfig, report: Callable[[str], None]) -> dict[str, float]:
     results = speed.in_rounds(tasks, cfg.seconds, report)
     for name in ("env", "env_undivided", *(name for name in tasks if name.startswith("train"))):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
+    results["env_of_physics"] = results["env"] / results["physics"]
     # Its physics has a ball too, that rests on the floor of every world.
     results["env_full_efficiency"] = results["env_full"] / results["limit_full"]
     report("losses")

@@ -35,9 +35,11 @@ def test_an_experiment_is_measured_alone(tmp_path, monkeypatch):
     figures = json.loads((tmp_path / "bench.json").read_text())
     speeds = {key for key in figures if not key.startswith("transform/")}
     efficiencies = {f"{key}_efficiency" for key in ("env", "env_undivided", "train")}
-    assert speeds == {"limit", "limit_together", "env", "env_undivided", "train"} | efficiencies
+    named = {"limit", "limit_together", "physics", "env", "env_undivided", "train"}
+    assert speeds == named | efficiencies | {"env_of_physics"}
     assert all(figures[key] > 0 for key in speeds)
     assert figures["train_efficiency"] == pytest.approx(figures["train"] / figures["limit"])
+    assert figures["env_of_physics"] == pytest.approx(figures["env"] / figures["physics"])
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from zfall.simulation.turns import in_turns, physics_first
 from zfall.training.collection import Worlds
 from zfall.training.learner import Learner
 from zfall.training.loop import garbage_collector_of_new_things
+from zfall.training.stages import stages_of
 
 ROUNDS = 8  # every figure is measured once in each: the machine's speed drifts
 
@@ -72,6 +73,45 @@ def bare_physics_together(
     with ThreadPoolExecutor(cores) as pool:
         runs = [pool.submit(bare_physics, base, states, controls, seconds) for _ in range(cores)]
     return sum(done.result() for done in runs) / cores
+
+
+class OwnPhysics:
+    """The physics of an env as it runs it: all worlds at once, servos included, and nothing else.
+
+    Replays states and controls, like ``bare_physics``; no transform, no quantity, no reset.
+
+    Args:
+        cfg: of the training whose worlds they are.
+        states: recorded before control steps ``(K N, size)``.
+        controls: targets in these ``(K N, J)`` [rad].
+    """
+
+    def __init__(self, cfg: DictConfig, states: Tensor, controls: Tensor):
+        env = Worlds(cfg.env, cfg.num_envs, 1).env
+        env.reset()  # which draws what differs from world to world
+        self.base: HumanoidEnv = env.base_env
+        end = 1 + self.base.simulation.model.nq  # the state begins with the time
+        rows = states[:, 1 : end + self.base.simulation.model.nv].split(cfg.num_envs)
+        self.states = [row.tensor_split([end - 1], 1) for row in rows]
+        inputs = controls.double()[:, None, self.base._to_actuators].expand(-1, self.base.substeps, -1)
+        self.controls = inputs.split(cfg.num_envs)
+
+    def run(self, seconds: float) -> float:
+        """Control steps/s of all worlds."""
+        simulation, servos, done = self.base.simulation, self.base.servo_dynamics, 0
+        began = time.perf_counter()
+        with physics_first():
+            while time.perf_counter() - began < seconds:
+                qpos, qvel = self.states[done % len(self.states)]
+                simulation.qpos.copy_(qpos)
+                simulation.qvel.copy_(qvel)
+                if servos:
+                    servos.act(simulation)
+                sensors = simulation.step(self.controls[done % len(self.controls)])
+                if servos:
+                    servos.advance(simulation, sensors)
+                done += 1
+        return done * simulation.num_worlds / (time.perf_counter() - began)
 
 
 def whole_training(learner: Learner, seconds: float) -> float:
@@ -213,12 +253,13 @@ def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[s
         report: called with what comes next.
     """
     overrides = [f"experiment={cfg.only}", f"num_envs={cfg.num_envs}", f"seed={cfg.seed}"]
-    learner = Learner(compose_config(overrides))
+    learner = Learner(stages_of(compose_config(overrides))[-1].config)
     stepper, undivided = (EnvStepper(learner.cfg, learner, n) for n in (learner.cfg.groups, 1))
     recorded = stepper.record()
     tasks: dict[str, Task] = {
         "limit": partial(bare_physics, stepper.base_env, *recorded),
         "limit_together": partial(bare_physics_together, stepper.base_env, *recorded),
+        "physics": OwnPhysics(learner.cfg, *undivided.record()).run,
         "env": stepper.run,
         "env_undivided": undivided.run,
         "train": partial(whole_training, learner),
@@ -226,5 +267,6 @@ def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[s
     results = in_rounds(tasks, cfg.seconds, report)
     for name in ("env", "env_undivided", "train"):
         results[f"{name}_efficiency"] = results[name] / results["limit"]
+    results["env_of_physics"] = results["env"] / results["physics"]
     report("transforms")
     return results | stepper.transform_shares(cfg.seconds / 2)
