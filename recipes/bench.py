@@ -63,7 +63,9 @@ def main(cfg: DictConfig) -> None:
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():
-        share = key.startswith(("transform/", "loss/")) or key.endswith(("_efficiency", "_of_physics"))
+        share = key.startswith(("transform/", "loss/")) or key.endswith(
+            ("_efficiency", "_of_physics")
+        )
         unit = "KiB" if key == "memory_per_world" else "control steps/s"
         out.add_row(key, f"{value:.3f}" if share else f"{value:.0f} {unit}")
     console.print(out, f"wrote {folder}/bench.json")

@@ -1,6 +1,7 @@
 """Trains a policy and shows what it can do: ``python -m recipes.train experiment=quickstart``."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -12,6 +13,9 @@ from zfall.training.keys import TrainKeys
 from zfall.trust import trusting
 
 from .shell import check_recipe, one_line_errors, start
+
+if TYPE_CHECKING:
+    from zfall.training.learner import Learner
 
 
 @hydra.main(version_base=None, config_path=".", config_name="train")
@@ -43,15 +47,20 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
     """Trains in a folder that is ours, or goes on there, and shows what came of it."""
     from rich.console import Console
 
-    from zfall.evaluation.showcase import show
+    from zfall.evaluation.showcase import battery_of, show
     from zfall.training.begin import begin
     from zfall.training.loop import train_stages
     from zfall.training.run_folder import full_disk_named
 
     console = Console()
     with one_line_errors(), full_disk_named(folder):
+        battery_of(cfg)  # before hours are spent
         learner, run, untrained = begin(folder, cfg, HydraConfig.get().overrides.task, console)
-    trained = train_stages(learner, run, console)
+
+    def look(learner: "Learner") -> None:
+        show(learner.cfg, learner.policy, untrained, folder, Console(quiet=True))
+
+    trained = train_stages(learner, run, console, look)
     if trained is None:
         line = shell_line("train", f"resume={shown_path(folder)}")
         console.print(f"stopped; go on with: {line}", soft_wrap=True)

@@ -9,6 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.shell import ROOT, TINY, run
+from zfall.evaluation import showcase
 from zfall.training.loop import garbage_collector_of_new_things
 
 
@@ -87,7 +88,10 @@ BAD = [
         ["showcase={starts: 1, sizes: [-0.4]}"],
         "showcase.sizes.0 must be positive and finite, got -0.4",
     ),
-    (["showcase={start: 1}"], "showcase.start is not a key of the config (sizes, starts, video)"),
+    (
+        ["showcase={start: 1}"],
+        "showcase.start is not a key of the config (battery, every, sizes, starts, video)",
+    ),
     (
         ["env.transforms.push.size=0.3"],
         "env.transforms.push.size must be a list, [0.3], or null, got 0.3",
@@ -242,3 +246,36 @@ def test_a_run_whose_logger_writes_elsewhere_goes_on_once_that_is_trusted(tmp_pa
     assert "trust=[torchrl.record.CSVLogger]" in done.stderr
     done = run("train", *more, "trust=[torchrl.record.CSVLogger]")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_look_in_between_changes_nothing_of_the_training(tmp_path):
+    """It is there before the training is over, and of the battery that was asked for."""
+    looked = "{starts: 1, sizes: [0.4], video: false, every: 2, battery: twin}"
+    whole = [*TINY, "total_frames=128"]
+    assert run("train", *whole, f"hydra.run.dir={tmp_path}/a").returncode == 0
+    seen = []
+    shown = showcase.show
+
+    def show(cfg, actor, untrained, folder, console):
+        seen.append(len((folder / "metrics.csv").read_text().splitlines()) - 1)
+        shown(cfg, actor, untrained, folder, console)
+        assert (folder / "report.html").exists()
+        assert (folder / "plots" / "twin.png").exists()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(showcase, "show", show)
+        done = run("train", *whole, f"showcase={looked}", f"hydra.run.dir={tmp_path}/b")
+    assert done.returncode == 0, done.stderr
+    assert seen == [2, 4]
+    metrics = [(tmp_path / name / "metrics.csv").read_text() for name in "ab"]
+    assert metrics[0] == metrics[1]
+
+
+def test_a_showcase_of_another_kind_of_battery_is_refused(tmp_path):
+    given = "showcase={starts: 1, sizes: [0.4], video: false, battery: kneel}"
+    done = run("train", *TINY, given, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 1
+    assert (
+        "showcase.battery must be planar, twin or another of their kind, got kneel" in done.stderr
+    )
+    assert not (tmp_path / "run").exists()

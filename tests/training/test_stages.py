@@ -50,7 +50,9 @@ def test_another_class_takes_none_of_the_old_arguments():
 
 
 def test_a_stage_begins_where_it_says():
-    made = stages(a={}, b={}, c={"warm_start": "stage:a"}, d={"warm_start": None}, e={"warm_start": "best"})
+    made = stages(
+        a={}, b={}, c={"warm_start": "stage:a"}, d={"warm_start": None}, e={"warm_start": "best"}
+    )
     assert [stage.begins_with for stage in made] == [None, "a", "a", None, None]
     assert [stage.config.warm_start for stage in made] == [None, None, None, None, "best"]
     sharper, same = stages(a={}, b={"actor": {"std": 0.1}}, c={"actor": {"std": 0.1}})[1:]
@@ -197,7 +199,11 @@ def test_nothing_of_a_strangers_stages_is_executed(tmp_path):
     path = tmp_path / "run" / "checkpoints" / "last.pt"
     content = checkpoint.load(path, checkpoint.TRAINING)
     config = OmegaConf.create(content["run"]["whole_config"])
-    config.stages.b.actor = {"_target_": "builtins.open", "file": str(tmp_path / "evil"), "mode": "w"}
+    config.stages.b.actor = {
+        "_target_": "builtins.open",
+        "file": str(tmp_path / "evil"),
+        "mode": "w",
+    }
     content["run"]["whole_config"] = OmegaConf.to_yaml(config)
     checkpoint.save(path, content)
     done = run("train", f"resume={tmp_path}/run", f"hydra.run.dir={tmp_path}/x")

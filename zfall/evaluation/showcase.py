@@ -31,6 +31,24 @@ SIDES = {
 }
 
 
+def battery_of(cfg: DictConfig) -> Battery | None:
+    """The short battery that ``showcase`` of a training asks for, if it asks for one.
+
+    Raises:
+        ValueError: on one that does not push once in level directions.
+    """
+    showcase = cfg.showcase
+    if not showcase:
+        return None
+    name = showcase.get("battery", "planar")
+    battery = load_battery(name, impulses=list(showcase.sizes), starts=showcase.starts)
+    if not battery.kind.endswith(".Planar"):
+        raise ValueError(
+            f"showcase.battery must be planar, twin or another of their kind, got {name}."
+        )
+    return battery
+
+
 def show(
     cfg: DictConfig,
     actor: torch.nn.Module,
@@ -38,13 +56,14 @@ def show(
     folder: Path,
     console: Console,
 ) -> None:
-    """Runs a short ``planar`` battery before and after training and of ``pose_hold``.
+    """Runs a short battery before and after training and of ``pose_hold``.
 
     Writes plots, ``video.mp4`` and ``summary.json`` into the run folder and prints a table.
     """
-    battery = load_battery("planar", impulses=list(cfg.showcase.sizes), starts=cfg.showcase.starts)
+    battery = battery_of(cfg)
+    assert battery is not None
     trained = {key: value.clone() for key, value in actor.state_dict().items()}
-    with console.status("short planar battery"):
+    with console.status(f"short {battery.name} battery"):
         actor.load_state_dict(untrained)
         before = run_battery(battery, cfg.env, actor)
         actor.load_state_dict(trained)
@@ -59,9 +78,9 @@ def show(
     }
     write_summary(folder, summaries)
     learning_curves(read_table(folder / "metrics.csv"), plots / "learning_curves.png")
-    title = "share recovered, short planar"
+    title = f"share recovered, short {battery.name}"
     lines = references(robot_of(cfg.env), battery.durations[0])
-    success_map(after, plots / "planar.png", title=title, baseline=baseline, lines=lines)
+    success_map(after, plots / f"{battery.name}.png", title=title, baseline=baseline, lines=lines)
     console.print(success_by_size(summaries))
     if cfg.showcase.video:
         with console.status("video"):
@@ -70,9 +89,9 @@ def show(
     board = "tensorboard/, " if (folder / "tensorboard").is_dir() else ""
     console.print(f"  metrics.csv, timing.csv, {board}checkpoints/{{last,best}}.pt", soft_wrap=True)
     film_name = "video.mp4, " if (folder / "video.mp4").exists() else ""
-    console.print(f"  plots/learning_curves.png, plots/planar.png, {film_name}summary.json")
+    console.print(f"  plots/learning_curves.png, plots/{battery.name}.png, {film_name}summary.json")
     console.print(f"  {write_report(folder).name}")
-    line = shell_line("evaluate", f"run={shown_path(folder)}", "battery=planar")
+    line = shell_line("evaluate", f"run={shown_path(folder)}", f"battery={battery.name}")
     console.print(f"next: {line}", soft_wrap=True)
 
 

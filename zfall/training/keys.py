@@ -43,8 +43,10 @@ class NormKeys(TypedDict):
 
 
 class Showcase(TypedDict):
-    """What is shown at the end of a training."""
+    """What is shown at the end of a training, and before."""
 
+    battery: NotRequired[Name]
+    every: NotRequired[Count | None]
     sizes: Annotated[Sequence[Positive], Rule("hold at least one size", lambda x: len(x) > 0)]
     starts: Count
     video: bool

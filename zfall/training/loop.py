@@ -4,13 +4,14 @@ import gc
 import math
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from traceback import walk_tb
 from types import FrameType
 
+import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -27,6 +28,8 @@ from zfall.training.run_folder import RunFolder, check_version, full_disk_named,
 from zfall.training.stages import stage_reached
 from zfall.training.warm_start import warm_start
 from zfall.trust import targets_of, trusting
+
+Look = Callable[[Learner], None]
 
 _OF_THE_CALL = ("resume", "trust")  # not of the run
 
@@ -114,13 +117,21 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         return train_stages(learner, run, console) is not None
 
 
-def train_stages(learner: Learner, run: RunFolder, console: Console) -> Learner | None:
+def train_stages(
+    learner: Learner, run: RunFolder, console: Console, look: Look | None = None
+) -> Learner | None:
     """Trains the stage at hand and those after it.
+
+    Args:
+        learner: of the stage at hand.
+        run: its folder.
+        console: where progress is shown.
+        look: is called with the learner every ``showcase.every`` updates.
 
     Returns:
         The learner of the last; None if ctrl-c ended it early.
     """
-    while train(learner, run, console):
+    while train(learner, run, console, look):
         following = run.next_stage(learner)
         if following is None:
             return learner
@@ -133,12 +144,15 @@ def number_of_updates(learner: Learner) -> int:
     return max(1, math.ceil(learner.cfg.total_frames / learner.frames_per_batch))
 
 
-def train(learner: Learner, run: RunFolder, console: Console) -> bool:
+def train(learner: Learner, run: RunFolder, console: Console, look: Look | None = None) -> bool:
     """The learning loop of a stage: collect, learn, write down; False if ctrl-c ended it early."""
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
-    total = number_of_updates(learner)
+    total, every = number_of_updates(learner), (cfg.showcase or {}).get("every")
+    looks = range(every, total, every) if every else ()
     with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
-        task = bar.add_task(run.stage.name or "train", total=total, completed=learner.updates, note="")
+        task = bar.add_task(
+            run.stage.name or "train", total=total, completed=learner.updates, note=""
+        )
         while learner.updates < total:
             times = [time.perf_counter()]
             batch = learner.collect()
@@ -150,6 +164,10 @@ def train(learner: Learner, run: RunFolder, console: Console) -> bool:
             run.write(learner, metrics, losses, times, figures)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates in (1, total):
                 run.save_last_and_best(learner)
+            if look and learner.updates in looks:
+                bar.update(task, note="a look at the policy so far")
+                with torch.random.fork_rng(devices=[]):  # which training does not notice
+                    look(learner)
             seconds = times[-1] - times[0]
             note = (
                 f"{learner.frames / 1e6:.2f} M frames, {learner.frames_per_batch / seconds:.0f}/s, "

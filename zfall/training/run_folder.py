@@ -17,7 +17,7 @@ from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
 from zfall.training.optimizers import learning_rates
 from zfall.training.rows import append_row, keep_rows
-from zfall.training.stages import Stage, build_stage, checkpoint_of_stage, stages_of, written_out
+from zfall.training.stages import build_stage, checkpoint_of_stage, stages_of, written_out
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
@@ -147,7 +147,7 @@ class RunFolder:
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
         self.note(metrics)
-        row = {"update": self.updates(learner), "frames": self.frames(learner)}
+        row: dict[str, float] = {"update": self.updates(learner), "frames": self.frames(learner)}
         row |= {"stage": self.stage.number} if self.stage.name else {}
         row |= {**self.last, **metrics}
         row |= {key: losses.pop(key) for key in ("kl", "passes")}
@@ -155,7 +155,7 @@ class RunFolder:
         for key, value in losses.items():
             row[key if "/" in key else f"loss/{key.removeprefix('loss_')}"] = value
         began, collected, ended = times
-        timing = {
+        timing: dict[str, float] = {
             "update": row["update"],
             "collect_s": collected - began,
             "learn_s": ended - collected,
@@ -163,7 +163,8 @@ class RunFolder:
         }
         for name, figures_of_update in (("metrics.csv", row), ("timing.csv", timing)):
             self.columns[name] = append_row(self.folder / name, figures_of_update)
-        self.loggers.log(row | figures | {"frames_per_s": timing["frames_per_s"]}, row["frames"])
+        shown = row | figures | {"frames_per_s": timing["frames_per_s"]}
+        self.loggers.log(shown, self.frames(learner))
 
     def note(self, metrics: dict[str, float]) -> None:
         """Remembers how good an update's episodes were, if any ended."""
@@ -192,7 +193,7 @@ class RunFolder:
         checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
 
     def next_stage(self, learner: Learner) -> Learner | None:
-        """Keeps what the stage at hand came to; returns the learner of the next, if there is one."""
+        """Keeps what the stage at hand came to; returns the learner of the next, if any."""
         if self.at_last_stage:
             return None
         assert self.stage.name is not None

@@ -93,7 +93,8 @@ class OwnPhysics:
         end = 1 + self.base.simulation.model.nq  # the state begins with the time
         rows = states[:, 1 : end + self.base.simulation.model.nv].split(cfg.num_envs)
         self.states = [row.tensor_split([end - 1], 1) for row in rows]
-        inputs = controls.double()[:, None, self.base._to_actuators].expand(-1, self.base.substeps, -1)
+        ordered = controls.double()[:, self.base._to_actuators]
+        inputs = ordered[:, None].expand(-1, self.base.substeps, -1)
         self.controls = inputs.split(cfg.num_envs)
 
     def run(self, seconds: float) -> float:
