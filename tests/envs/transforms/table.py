@@ -98,6 +98,11 @@ TABLE = {  # in the order of a yaml
         "_target_": f"{_WINDOWS}.LargestSoFar",
         "keys": {"base_acceleration_peak": "base_acceleration_max"},
     },
+    "average": {
+        "_target_": f"{_WINDOWS}.MovingAverage",
+        "keys": {"joint_torque": "mean_joint_torque"},
+        "seconds": 0.5,
+    },
     "explore": {
         "_target_": "zfall.envs.transforms.exploration.CorrelatedNoise",
         "correlation": 0.8,

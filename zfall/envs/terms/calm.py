@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.terms.balance import capture_point
-from zfall.values import Positive
+from zfall.values import Name, Positive
 
 
 def at_rest(td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive) -> Tensor:
@@ -48,14 +48,20 @@ def still_actions(
 
 
 def idle_servos(
-    td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive, sigma: Positive
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    reach: Positive,
+    sigma: Positive,
+    torque: Name = "joint_torque",
 ) -> Tensor:
     """High while servos carry little at rest: ``at_rest exp(-mean(torque^2) / sigma^2)``.
 
-    Reads ``joint_torque`` ``(*B, J)`` [N m] and what ``at_rest`` reads; ``reach`` [m], ``sigma``
-    [N m]. Returns ``(*B, 1)`` in [0, 1].
+    Reads ``torque`` ``(*B, J)`` [N m] and what ``at_rest`` reads; ``reach`` [m], ``sigma`` [N m].
+    Exploration moves ``joint_torque`` by more than what a standing robot carries; a
+    ``MovingAverage`` of it shows that. Returns ``(*B, 1)`` in [0, 1].
     """
-    return _calm(next_td["joint_torque"], sigma) * at_rest(td, next_td, reach=reach)
+    return _calm(next_td[torque], sigma) * at_rest(td, next_td, reach=reach)
 
 
 def _calm(value: Tensor, sigma: float) -> Tensor:

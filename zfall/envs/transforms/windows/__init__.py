@@ -9,6 +9,7 @@ from zfall.envs.transforms.windows.largest_so_far import LargestSoFar
 from zfall.envs.transforms.windows.last_action import LastAction
 from zfall.envs.transforms.windows.mean_velocity import MeanVelocity
 from zfall.envs.transforms.windows.momentum_rate import MomentumRate
+from zfall.envs.transforms.windows.moving_average import MovingAverage
 from zfall.envs.transforms.windows.odometry_displacement import OdometryDisplacement
 
 __all__ = [
@@ -21,5 +22,6 @@ __all__ = [
     "LastAction",
     "MeanVelocity",
     "MomentumRate",
+    "MovingAverage",
     "OdometryDisplacement",
 ]
