@@ -55,10 +55,10 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
     console = Console()
     with one_line_errors(), full_disk_named(folder):
         battery_of(cfg)  # before hours are spent
-        learner, run, untrained = begin(folder, cfg, HydraConfig.get().overrides.task, console)
+        learner, run = begin(folder, cfg, HydraConfig.get().overrides.task, console)
 
     def look(learner: "Learner") -> None:
-        show(learner.cfg, learner.policy, untrained, folder, Console(quiet=True))
+        show(learner.cfg, learner.policy, learner.beginning, folder, Console(quiet=True))
 
     trained = train_stages(learner, run, console, look)
     if trained is None:
@@ -67,7 +67,7 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
         raise SystemExit(130)
     showcase = trained.cfg.showcase
     if showcase:
-        show(trained.cfg, trained.policy, untrained, folder, console)
+        show(trained.cfg, trained.policy, trained.beginning, folder, console)
         if showcase.video and (folder / "video.mp4").exists():
             for line in run.loggers.log_film(folder / "video.mp4", run.frames(trained)):
                 console.print(line, soft_wrap=True)

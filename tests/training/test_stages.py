@@ -7,6 +7,8 @@ from omegaconf import OmegaConf
 
 from tests.shell import TINY, run
 from zfall import checkpoint
+from zfall.configs import compose_config
+from zfall.training.learner import Learner
 from zfall.training.run_folder import RunFolder
 from zfall.training.stages import stages_of, written_out
 
@@ -112,37 +114,47 @@ STAGED = [
 ]
 
 
-def test_killed_in_three_stages_and_resumed_it_gives_the_same(tmp_path, monkeypatch):
-    """Same weights and same metrics, to the last digit; also when killed between two stages."""
+TEACHER = "zfall.losses.imitation.ImitationLoss"
+WITH_LOSS = [
+    *TINY[:-2],
+    "statistics_batches=0",
+    "showcase=null",
+    f"+stages={{easy: {{}}, other: {{auxiliary_losses: {{imitation: {{_target_: {TEACHER}, teacher: 'stage:easy'}}}}}},"
+    " last_one: {}}",
+]  # fmt: skip
+KILLS = [("write", 2), ("save", 3), ("write", 4), ("next_stage", 4), ("write", 6)]
+
+
+@pytest.mark.parametrize("given", [STAGED, WITH_LOSS], ids=["stages", "losses that come and go"])
+def test_killed_in_three_stages_and_resumed_it_gives_the_same(given, tmp_path, monkeypatch):
+    """Same weights and same metrics, to the last digit; also when killed between two stages.
+
+    It is killed before a row is written, between a row and the checkpoint, and after a stage.
+    """
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    done = run("train", *STAGED, f"hydra.run.dir={whole}")
+    done = run("train", *given, f"hydra.run.dir={whole}")
     assert done.returncode == 0, done.stderr
-    write, following = RunFolder.write, RunFolder.next_stage
-    kill_at = {2, 4, 6}
+    kills = list(KILLS)
 
-    def write_or_die(self, learner, *args):
-        if self.updates(learner) in kill_at:
-            kill_at.remove(self.updates(learner))
-            raise Killed
-        write(self, learner, *args)
+    def dying(name):
+        method = getattr(RunFolder, name)
 
-    def die_after(self, learner):
-        made = following(self, learner)
-        if kill_at == {6} and self.stage.number == 3:
-            kill_at.clear()
-            raise Killed
-        return made
+        def call(self, learner, *args):
+            if kills and kills[0] == (name, self.updates(learner)):
+                kills.pop(0)
+                raise Killed
+            return method(self, learner, *args)
 
-    monkeypatch.setattr(RunFolder, "write", write_or_die)
-    monkeypatch.setattr(RunFolder, "next_stage", die_after)
-    args = [*STAGED, f"hydra.run.dir={parts}"]
-    for _ in range(3):
+        monkeypatch.setattr(RunFolder, name, call)
+
+    for name in ("write", "save", "next_stage"):
+        dying(name)
+    args = [*given, f"hydra.run.dir={parts}"]
+    for left in range(len(KILLS) - 1, -1, -1):
         with pytest.raises(Killed):
             run("train", *args)
+        assert len(kills) == left
         args = [f"resume={parts}", f"hydra.run.dir={tmp_path}/x"]
-    kill_at.add(6)
-    with pytest.raises(Killed):
-        run("train", *args)
     done = run("train", *args)
     assert done.returncode == 0, done.stderr
     assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
@@ -155,8 +167,8 @@ def test_killed_in_three_stages_and_resumed_it_gives_the_same(tmp_path, monkeypa
             for folder in (whole, parts)
         )
         assert all(torch.equal(one[key], other[key]) for key in one)
-    for row in (1, 3, 5):  # frames of all stages: 32, of which one batch sets statistics, and 64
-        assert metrics["frames"][row] == [96, 96 + 192, 96 + 192 + 96][row // 2]
+    if given == STAGED:  # frames of all stages: 32, of which one batch sets statistics, and 64
+        assert list(metrics["frames"])[1::2] == [96, 96 + 192, 96 + 192 + 96]
 
 
 def test_a_stage_begins_with_the_weights_of_the_one_before(tmp_path):
@@ -191,6 +203,60 @@ def test_only_lengths_of_stages_change_when_it_goes_on(tmp_path):
     done = run(*more, "+stages.b.total_frames=128")
     assert done.returncode == 0, done.stderr
     assert list(pd.read_csv(tmp_path / "run" / "metrics.csv")["stage"]) == [1, 1, 2, 2, 2, 2]
+
+
+def test_a_length_that_no_stage_would_have_is_refused(tmp_path):
+    done = run("train", *TINY, "+stages={a: {}, b: {}}", f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+    more = ["train", f"resume={tmp_path}/run", f"hydra.run.dir={tmp_path}/x"]
+    for given, says in (
+        ("+stages.bb.total_frames=128", "stages.bb.total_frames must be that of a stage which is not over: +stages.b.total"),
+        ("+stages.a.total_frames=128", "stages.a.total_frames must be that of a stage which is not over"),
+        ("total_frames=128", "total_frames must be given for a stage, each has its own: +stages.b.total_frames"),
+    ):  # fmt: skip
+        done = run(*more, given)
+        assert done.returncode == 1
+        assert says in done.stderr
+    whole = "+stages={a: {total_frames: 32}, b: {total_frames: 32}}"
+    done = run("train", *TINY, whole, f"hydra.run.dir={tmp_path}/y")  # TINY gives total_frames
+    assert done.returncode == 1
+    assert "total_frames must be given for a stage" in done.stderr
+
+
+def test_a_later_stage_is_tried_before_the_first(tmp_path):
+    term = "{_target_: zfall.envs.terms.calm.idle_servos, _partial_: true, reach: 0.1, sigma: 1.0, torque: load}"
+    given = f"+stages={{a: {{}}, b: {{env: {{transforms: {{reward: {{terms: {{idle: [1.0, {term}]}}}}}}}}}}}}"
+    done = run("train", *TINY, given, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 1
+    assert "stages.b.env.transforms.reward" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_ones_own_code_needs_no_trust_in_ones_own_stages(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_stage_terms.py").write_text(
+        "def low(td, next_td):\n    return -next_td['com_position'][..., 2:]\n"
+    )
+    low = "[0.1, {_target_: my_stage_terms.low, _partial_: true}]"
+    given = (
+        f"+stages={{a: {{}}, b: {{env: {{transforms: {{reward: {{terms: {{low: {low}}}}}}}}}}}}}"
+    )
+    done = run("train", *TINY, given, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_is_shown_before_is_what_the_stage_began_with(tmp_path):
+    """Also where it is another network."""
+    shown = "showcase={starts: 1, sizes: [0.4], video: false, every: 1}"
+    stages = "+stages={a: {}, b: {warm_start: null, actor: {num_cells: [16]}}}"
+    done = run("train", *TINY[:-1], shown, stages, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_learner_is_one_stage():
+    with pytest.raises(ValueError, match="stages must be {} for a Learner"):
+        Learner(compose_config(["+stages={a: {}}"]))
 
 
 def test_nothing_of_a_strangers_stages_is_executed(tmp_path):

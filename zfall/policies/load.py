@@ -164,7 +164,9 @@ def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
     """
     if not (isinstance(run, str) and run):
         raise ValueError(f"{key} must be a run folder or a policy that ships, got {run!r}.")
-    path = checkpoint_of(run, key=key)
+    file = Path(run)
+    is_file = file.suffix == ".pt" and file.is_file()  # of a stage of the same training
+    path = file if is_file else checkpoint_of(run, key=key)
     content = checkpoints.load(path)
     cfg = OmegaConf.create(content["config"])
     check_same_interface({run: cfg, "this run": pupil})

@@ -22,8 +22,10 @@ def training_inputs(cfg: DictConfig) -> dict[str, Any]:
     policy's weights, whatever its key.
 
     Raises:
-        ValueError: if ``warm_start`` or a ``teacher`` names no policy.
+        ValueError: if it has stages, or ``warm_start`` or a ``teacher`` names no policy.
     """
+    if cfg.get("stages"):
+        raise ValueError("stages must be {} in a study: give each row the warm_start of a run.")
     config = OmegaConf.to_container(cfg, resolve=True)
     assert isinstance(config, dict)
     contents = contents_of({str(key): value for key, value in config.items()})

@@ -5,23 +5,22 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from torch import Tensor
 
 from zfall import checkpoint
 from zfall.commands import shown_path
 from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
-from zfall.training.loop import number_of_updates, resumed_config, try_one_step
+from zfall.training.loop import number_of_updates, resumed_config
 from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
-from zfall.training.stages import check_stages, stage_reached
-from zfall.training.warm_start import warm_start
+from zfall.training.stages import begin_stage, check_lengths, check_stages, stage_reached
+from zfall.training.trial_step import try_one_step
 from zfall.trust import config_of_file, targets_of, trusting
 
 
 def begin(
     folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console
-) -> tuple[Learner, RunFolder, dict[str, Tensor]]:
-    """All that training takes, nothing written before all is checked; and the untrained weights.
+) -> tuple[Learner, RunFolder]:
+    """All that training takes, nothing written before all is checked.
 
     Args:
         folder: of the run, which is ours alone.
@@ -37,7 +36,8 @@ def begin(
         state = checkpoint.load(path, checkpoint.TRAINING)
         check_version(state["run"], folder)
         stored = state["run"].get("whole_config", state["config"])
-        config_of_file(stored, path)  # before anything of it is built
+        stored = OmegaConf.to_yaml(config_of_file(stored, path))  # before any of it is built
+        check_lengths(stored, overrides, state["run"].get("stage", 0))
         cfg = resumed_config(stored, cfg, overrides, folder)
     elif holds_run(folder):
         resumable = path.exists()
@@ -46,21 +46,16 @@ def begin(
             f"hydra.run.dir must be a folder without a run, {folder} holds one"
             f"{'' if resumable else ' without a checkpoint'}; {repair}."
         )
+    else:
+        check_lengths(OmegaConf.to_yaml(cfg), overrides)
     with trusting(targets_of(cfg)):  # what is trained must be readable, too
         config_of_file(OmegaConf.to_yaml(cfg, resolve=True), folder)
-    if state is None:
-        check_stages(cfg)
+        if state is None:
+            check_stages(cfg)
     with checkpoint.reading(path):
         stage = stage_reached(cfg, state)
     try_one_step(stage.config.env)
-    learner = Learner(stage.config)
-    if stage.config.warm_start is not None:
-        try:
-            warm_start(learner, stage.config.warm_start)
-        except (ValueError, OSError):
-            if state is None:  # a run that goes on needs it only to show what was before
-                raise
-    untrained = {key: value.clone() for key, value in learner.policy.state_dict().items()}
+    learner = begin_stage(stage, folder, goes_on=state is not None)
     if state is not None:
         robot = identity_of(learner.env.base_env.robot)
         checkpoint.check_fits(state, robot, learner.actor, folder)
@@ -79,4 +74,4 @@ def begin(
             notes += run.load_state_dict(state["run"])
         for line in notes:
             console.print(line, soft_wrap=True)
-    return learner, run, untrained
+    return learner, run

@@ -96,6 +96,10 @@ class Worlds:
             seed = env.set_seed(seed)
         self.carriers = [env.reset() for env in self.envs]
 
+    def close(self) -> None:
+        """Lets go of the envs; nothing can be run any more."""
+        self.envs, self.carriers = [], []
+
     def run(
         self,
         policy: Callable[[TensorDictBase], TensorDictBase],

@@ -53,6 +53,11 @@ class Learner:
 
     def __init__(self, config: DictConfig | Mapping[str, Any]):
         self.cfg = cfg = whole_config(config)
+        if cfg.get("stages"):
+            raise ValueError(
+                "stages must be {} for a Learner, which is one stage: "
+                "zfall.training.stages.stages_of gives them, recipes.train trains them."
+            )
         torch.manual_seed(cfg.seed)
         self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups)
         check_task(self.env, cfg)
@@ -90,6 +95,12 @@ class Learner:
         check_networks({"actor": self.actor, "critic": self.critic}, given)
         check_reads(self.losses.by_place, given | {"state_value", "advantage", "value_target"})
         self.frames = self.updates = 0
+        self.beginning: dict[str, Tensor] = {}
+        self.begins_here()
+
+    def begins_here(self) -> None:
+        """Takes the policy at hand for that which training begins with, ``beginning``."""
+        self.beginning = {key: value.clone() for key, value in self.policy.state_dict().items()}
 
     @property
     def policy(self) -> torch.nn.Module:

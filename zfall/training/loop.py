@@ -8,56 +8,25 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
-from traceback import walk_tb
 from types import FrameType
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from torchrl.envs import TransformedEnv
 
 from zfall import checkpoint
 from zfall.configs import compose_config
-from zfall.errors import at, in_one_line
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
-from zfall.training.stages import stage_reached
-from zfall.training.warm_start import warm_start
+from zfall.training.stages import begin_stage, stage_reached
 from zfall.trust import targets_of, trusting
 
 Look = Callable[[Learner], None]
 
 _OF_THE_CALL = ("resume", "trust")  # not of the run
-
-
-def try_one_step(env_cfg: DictConfig) -> None:
-    """Takes a step in two worlds of their own: terms and transforms that fail do so now.
-
-    Raises:
-        ValueError: naming the transform.
-    """
-    env = instantiate(env_cfg, base_env={"num_envs": 2})
-    try:
-        env.rollout(1)
-    except Exception as error:
-        name = failing(env, error)
-        place = f"env.transforms.{name}" if name else "env"
-        raise ValueError(at(place, in_one_line(error))) from error
-
-
-def failing(env: TransformedEnv, error: Exception) -> str | None:
-    """Name of the transform of a task in whose method an error was raised, if it was in one."""
-    innermost = None
-    for frame, _ in walk_tb(error.__traceback__):
-        owner = frame.f_locals.get("self")
-        for name, transform in getattr(env.transform, "by_name", {}).items():
-            if transform is owner:
-                innermost = name
-    return innermost
 
 
 def resumed_config(
@@ -71,7 +40,8 @@ def resumed_config(
     free = ("total_frames", "checkpoint_every", "showcase", "logger", "name")
     keys = [override.partition("=")[0].lstrip("+") for override in overrides]
     for key in keys:
-        length = key.startswith("stages.") and key.endswith(".total_frames")
+        parts = key.split(".")
+        length = len(parts) == 3 and parts[0] == "stages" and parts[2] == "total_frames"
         if key not in _OF_THE_CALL and key.split(".")[0] not in free and not length:
             raise ValueError(
                 f"{key} must not be given with resume, it is that of {folder}; "
@@ -104,16 +74,14 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
             with trusting(targets_of(cfg)):  # all of them are built in any case
                 state = checkpoint.load(path, checkpoint.TRAINING)
             check_version(state["run"], folder)
-        stage = stage_reached(cfg, state)
-        learner, run = Learner(stage.config), RunFolder(folder, cfg)
+        learner = begin_stage(stage_reached(cfg, state), folder, goes_on=state is not None)
+        run = RunFolder(folder, cfg)
         if state is not None:
             with checkpoint.reading(path):
                 notes = learner.load_state_dict(state)
                 notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)
-        elif stage.config.warm_start is not None:
-            warm_start(learner, stage.config.warm_start)
         return train_stages(learner, run, console) is not None
 
 
@@ -132,10 +100,9 @@ def train_stages(
         The learner of the last; None if ctrl-c ended it early.
     """
     while train(learner, run, console, look):
-        following = run.next_stage(learner)
-        if following is None:
+        if run.at_last_stage:
             return learner
-        learner = following
+        learner = run.next_stage(learner)
     return None
 
 

@@ -41,7 +41,7 @@ def keep_rows(path: Path, columns: Sequence[str], updates: int) -> int:
 
     Args:
         path: the file, whose first column is the number of the update; it may be missing.
-        columns: of its header; none: those that its first line names.
+        columns: of its header; none: those that its first line names, as also if it has more.
         updates: the last one to keep.
 
     Returns:
@@ -49,7 +49,9 @@ def keep_rows(path: Path, columns: Sequence[str], updates: int) -> int:
     """
     old = path.read_bytes() if path.exists() else b""
     lines = old.decode(errors="replace").split("\n")[:-1]  # what has no end was cut off
-    columns = columns or (lines[0].split(",") if lines else [])
+    header = lines[0].split(",") if lines else []
+    if not columns or set(columns) < set(header):  # a stage that begins may bring columns
+        columns = header
     rows: list[str] = []
     last = 0
     for number, line in _rows_of(lines, len(columns)):

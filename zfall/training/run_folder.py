@@ -17,7 +17,8 @@ from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
 from zfall.training.optimizers import learning_rates
 from zfall.training.rows import append_row, keep_rows
-from zfall.training.stages import build_stage, checkpoint_of_stage, stages_of, written_out
+from zfall.training.stages import begin_stage, checkpoint_of_stage, stages_of, written_out
+from zfall.trust import targets_of, trusting
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
@@ -192,16 +193,19 @@ class RunFolder:
         content = learner.state_dict() | {"run": self.state_dict(learner)}
         checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
 
-    def next_stage(self, learner: Learner) -> Learner | None:
-        """Keeps what the stage at hand came to; returns the learner of the next, if any."""
-        if self.at_last_stage:
-            return None
+    def next_stage(self, learner: Learner) -> Learner:
+        """Keeps what the stage at hand came to; returns the learner of the next.
+
+        Nothing can be done with the learner of the stage that is over.
+        """
         assert self.stage.name is not None
         self.save(learner, checkpoint_of_stage(self.folder, self.stage.name).stem)
         self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
         self.stage = self.stages[self.stage.number]
         self.recent, self.best = [], ()
-        return build_stage(self.stage, self.folder)
+        learner.worlds.close()
+        with trusting(targets_of(self.cfg)):  # all of them were built before the first began
+            return begin_stage(self.stage, self.folder)
 
     @property
     def at_last_stage(self) -> bool:

@@ -1,8 +1,8 @@
 """A training in several stages: the config of each, and where each begins."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,14 +10,18 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from zfall import checkpoint
-from zfall.errors import at
+from zfall.errors import SPOKEN, at, in_one_line
 from zfall.training.keys import TrainKeys
 from zfall.training.learner import Learner
+from zfall.training.trial_step import try_one_step
 from zfall.training.warm_start import warm_start
 
-OF_THE_RUN = ("stages", "experiment", "resume", "trust", "name", "logger", "showcase")
+# Keys that are the run's.
+OF_THE_RUN = (
+    *("stages", "experiment", "resume", "trust", "name", "logger", "showcase"),
+    "checkpoint_every",
+)
 _LINK = "stage:"  # and the name of one: what that came to
-_LINKED_FILE = re.compile(r"/checkpoints/(\w+)\.pt")
 _TAKEN = ("last", "best")  # checkpoints that every run has
 
 
@@ -93,59 +97,75 @@ def written_out(cfg: DictConfig) -> str:
 def check_stages(cfg: DictConfig) -> None:
     """Refuses a training one of whose stages cannot be, before the first begins.
 
-    Every stage is set up once, from what the ones before it are without training.
+    Every stage is set up and tried once, from what the ones before it are without training.
 
     Raises:
         ValueError: naming the stage and the key.
     """
     with TemporaryDirectory() as folder:
         (Path(folder) / "checkpoints").mkdir()
+        linked_file = re.compile(re.escape(folder) + r"/checkpoints/(\w+)\.pt")
         for stage in stages_of(cfg) if cfg.get("stages") else ():
             assert stage.name is not None
             try:
-                learner = build_stage(stage, Path(folder))
-            except ValueError as error:
-                reason = _LINKED_FILE.sub(r"stage \1", str(error).replace(folder, ""))
+                try_one_step(stage.config.env)
+                learner = begin_stage(stage, Path(folder))
+            except SPOKEN as error:
+                reason = linked_file.sub(r"stage \1", in_one_line(error))
                 raise ValueError(at(f"stages.{stage.name}", reason)) from error
             checkpoint.save(checkpoint_of_stage(Path(folder), stage.name), learner.state_dict())
 
 
-def build_stage(stage: Stage, folder: Path) -> Learner:
-    """The learner of a stage, which begins as it says.
+def begin_stage(stage: Stage, folder: Path, *, goes_on: bool = False) -> Learner:
+    """The learner of a stage, with the weights that it begins with, see ``Learner.beginning``.
 
     Args:
         stage: of a training in ``folder``, where the stages before it are finished.
         folder: of the run.
+        goes_on: whether a checkpoint gives it other weights in any case. What it began with may
+            then be gone.
     """
-    learner = Learner(in_folder(stage, folder).config)
-    if stage.begins_with is not None:
-        path = checkpoint_of_stage(folder, stage.begins_with)
-        warm_start(learner, path, keep_deviation=stage.keeps_deviation)
-    elif stage.config.warm_start is not None:
-        warm_start(learner, stage.config.warm_start)
+    config = OmegaConf.create(_filled(OmegaConf.to_container(stage.config), folder))
+    learner = Learner(config)
+    try:
+        if stage.begins_with is not None:
+            path = checkpoint_of_stage(folder, stage.begins_with)
+            warm_start(learner, path, keep_deviation=stage.keeps_deviation)
+        elif config.warm_start is not None:
+            warm_start(learner, config.warm_start)
+    except (ValueError, OSError):
+        if not goes_on:
+            raise
+    learner.begins_here()
     return learner
-
-
-def in_folder(stage: Stage, folder: Path) -> Stage:
-    """The same with the files of the stages that it names, in the folder of the run."""
-
-    def filled(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: filled(each) for key, each in value.items()}
-        if isinstance(value, list):
-            return [filled(each) for each in value]
-        if _is_link(value):
-            return str(checkpoint_of_stage(folder, value.removeprefix(_LINK)))
-        return value
-
-    config = filled(OmegaConf.to_container(stage.config, resolve=False))
-    return replace(stage, config=OmegaConf.create(config))
 
 
 def stage_reached(cfg: DictConfig, state: Mapping[str, Any] | None) -> Stage:
     """The stage of a training at which a checkpoint was written; without one the first."""
     number = state["run"].get("stage", 0) if state else 0
     return stages_of(cfg)[max(0, number - 1)]
+
+
+def check_lengths(config: str, overrides: Sequence[str], reached: int = 0) -> None:
+    """Refuses a length that no stage to come would have.
+
+    Args:
+        config: of the training as it is without them, yaml.
+        overrides: from the shell.
+        reached: number of the stage at hand.
+
+    Raises:
+        ValueError: naming the key and those that can be given.
+    """
+    stages: Mapping[str, Any] = OmegaConf.create(config).get("stages") or {}
+    open_ones = list(stages)[max(0, reached - 1) :]
+    can = ", ".join(f"+stages.{name}.total_frames" for name in open_ones)
+    for key in (override.partition("=")[0].lstrip("+") for override in overrides):
+        first, *rest = key.split(".")
+        if first == "stages" and len(rest) == 2 and reached and rest[0] not in open_ones:
+            raise ValueError(f"{key} must be that of a stage which is not over: {can or 'none'}.")
+        if key == "total_frames" and stages and all("total_frames" in x for x in stages.values()):
+            raise ValueError(f"total_frames must be given for a stage, each has its own: {can}.")
 
 
 def checkpoint_of_stage(folder: Path, name: str) -> Path:
@@ -175,6 +195,17 @@ def _check(name: Any, changes: Any) -> None:
     for key in changes:
         if key not in own:
             raise ValueError(f"stages.{name} must hold {', '.join(own)} alone, got {key}.")
+
+
+def _filled(value: Any, folder: Path) -> Any:
+    """A config with files in the folder of the run for the stages that it names."""
+    if isinstance(value, Mapping):
+        return {key: _filled(each, folder) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_filled(each, folder) for each in value]
+    if _is_link(value):
+        return str(checkpoint_of_stage(folder, value.removeprefix(_LINK)))
+    return value
 
 
 def _is_link(value: Any) -> bool:

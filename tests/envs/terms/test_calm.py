@@ -55,6 +55,15 @@ def test_each_falls_with_the_mean_square_over_joints(term, key):
     assert term(before, after, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-2))
 
 
+def test_load_can_be_another_quantity():
+    """1/e at a sigma of 0.2, whatever the torques of the moment are."""
+    after = standing()
+    after["joint_torque"][:] = 3.0
+    after["mean_joint_torque"] = torch.full((1, 20), 0.2)
+    value = idle_servos(BEFORE, after, reach=0.04, sigma=0.2, torque="mean_joint_torque")
+    assert value.item() == pytest.approx(math.exp(-1))
+
+
 def test_actions_count_by_their_change_in_an_env_as_well(make_task):
     """Not by what the step has written already: the second step asks for 0.2 more than the first."""
     still = partial(still_actions, reach=10.0, sigma=0.2)
