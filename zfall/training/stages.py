@@ -157,7 +157,7 @@ def check_lengths(config: str, overrides: Sequence[str], reached: int = 0) -> No
     Raises:
         ValueError: naming the key and those that can be given.
     """
-    stages: Mapping[str, Any] = OmegaConf.create(config).get("stages") or {}
+    stages: Mapping[str, Any] = DictConfig(OmegaConf.create(config)).get("stages") or {}
     open_ones = list(stages)[max(0, reached - 1) :]
     can = ", ".join(f"+stages.{name}.total_frames" for name in open_ones)
     for key in (override.partition("=")[0].lstrip("+") for override in overrides):
