@@ -92,7 +92,8 @@ def test_written_out_they_are_the_same_stages():
 )  # fmt: skip
 def test_stages_that_cannot_be_are_refused_before_the_first(given, says, tmp_path):
     folder = tmp_path / "run"
-    done = run("train", *TINY, f"+stages={{{given}}}", f"hydra.run.dir={folder}")
+    tiny = [given for given in TINY if not given.startswith("total_frames")]
+    done = run("train", *tiny, f"+stages={{{given}}}", f"hydra.run.dir={folder}")
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
     assert says in done.stderr

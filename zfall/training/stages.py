@@ -164,7 +164,8 @@ def check_lengths(config: str, overrides: Sequence[str], reached: int = 0) -> No
         first, *rest = key.split(".")
         if first == "stages" and len(rest) == 2 and reached and rest[0] not in open_ones:
             raise ValueError(f"{key} must be that of a stage which is not over: {can or 'none'}.")
-        if key == "total_frames" and stages and all("total_frames" in x for x in stages.values()):
+        own = [isinstance(stage, Mapping) and "total_frames" in stage for stage in stages.values()]
+        if key == "total_frames" and own and all(own):
             raise ValueError(f"total_frames must be given for a stage, each has its own: {can}.")
 
 
