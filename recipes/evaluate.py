@@ -88,6 +88,7 @@ def main(cfg: DictConfig) -> None:
             checkpoint=cfg.checkpoint,
             change=[*servo_change(), *cfg.change],
             keep=cfg.keep,
+            world=battery.world,
         )
         setting = setting_of(cfg, options, str(choice("battery")), choice("servo"))
         places = {name: output / name if cfg.runs is not None else output for name in names}

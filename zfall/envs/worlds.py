@@ -69,9 +69,9 @@ def in_world(env_cfg: DictConfig, world: World | None) -> DictConfig:
     """
     if world is None:
         return env_cfg
-    parts = [part for part in PARTS if part in world]
+    gives_way = replaced(env_cfg, world)
     own = {
-        str(name): None if _declared(transform, "hardware") in parts else transform
+        str(name): None if name in gives_way else transform
         for name, transform in in_place(env_cfg.transforms).items()
     }
     if taken := [name for name in own if name.startswith(PREFIX)]:
@@ -93,6 +93,16 @@ def in_world(env_cfg: DictConfig, world: World | None) -> DictConfig:
             table | {k: v for k, v in named.items() if k not in table}
         )
     return new
+
+
+def replaced(env_cfg: DictConfig, world: World | None) -> list[str]:
+    """Names of the transforms of an env that a world has its own hardware for."""
+    parts = [part for part in PARTS if world is not None and part in world]
+    return [
+        str(name)
+        for name, transform in env_cfg.transforms.items()
+        if _declared(transform, "hardware") in parts
+    ]
 
 
 def privileged(env: TransformedEnv) -> list[str]:

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from zfall.configs import compose_config, plain_containers
 from zfall.envs import tables
 from zfall.envs.tables import changed, contents_of, robot_of
-from zfall.envs.worlds import in_world, privileged
+from zfall.envs.worlds import World, in_world, privileged, replaced
 from zfall.evaluation.baselines import baseline_names, load_baseline, passive
 from zfall.evaluation.battery import battery_env, starts_and_pushes
 from zfall.evaluation.definitions import Battery
@@ -147,6 +147,7 @@ def load_candidates(
     checkpoint: str = "last",
     change: Sequence[str] = (),
     keep: Sequence[str] = (),
+    world: World | None = None,
 ) -> list[Candidate]:
     """Policies, each in its own world, and baselines.
 
@@ -160,9 +161,11 @@ def load_candidates(
         checkpoint: of run folders.
         change: values of all envs to replace.
         keep: what of each env's ``training_only`` to leave on.
+        world: hardware of the battery that they are put to, if it has its own.
 
     Raises:
-        ValueError: as ``load_candidate``; if an env is given for a policy; on a wrong ``keep``.
+        ValueError: as ``load_candidate``; if an env is given for a policy; on a wrong ``keep``; if
+            ``keep`` or ``change`` names hardware that the world replaces.
     """
     known = baseline_names()
     own = [run for run in runs if isinstance(run, Policy) or run not in known]
@@ -180,9 +183,23 @@ def load_candidates(
             continue
         fits = load_baseline(run).fits
         worlds = [policy.env_cfg for policy in policies if fits(policy.env_cfg)]
-        world = task if task is not None else next(iter(worlds), default_task)
-        candidates.append(load_candidate(run, change=change, task=world))
+        own_task = task if task is not None else next(iter(worlds), default_task)
+        candidates.append(load_candidate(run, change=change, task=own_task))
+    for candidate in candidates:
+        gone = replaced(candidate.env_cfg, world)
+        for key, named in (("keep", [*keep]), ("change", [_transform_of(x) for x in change])):
+            for name in {*named} & {*gone}:
+                raise ValueError(
+                    f"{key} must not name {name}: the battery has hardware of its own, "
+                    "battery.world.PART.NAME.KEY=VALUE changes that."
+                )
     return [candidate.keep(keep) for candidate in candidates]
+
+
+def _transform_of(change: str) -> str:
+    """The transform that a change is of, ``transforms.noise.std=0`` of ``noise``."""
+    parts = str(change).partition("=")[0].split(".")
+    return parts[1] if parts[0] == "transforms" and len(parts) > 1 else ""
 
 
 def write_trials(path: Path, trials: pd.DataFrame, conditions: dict[str, Any]) -> None:

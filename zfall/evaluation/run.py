@@ -83,6 +83,7 @@ def evaluate(
             checkpoint=checkpoint,
             change=change,
             keep=keep,
+            world=given.world,
         )
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)
     known = candidate.known(given)
