@@ -42,7 +42,7 @@ SAME_CONTENT: dict[str, str] = {}
 IRRELEVANT: dict[str, str] = {
     "name": "only reports and loggers show it",
     "logger": "what is logged is not read",
-    "showcase": "runs when the training is over",
+    "showcase": "training goes on as if nobody looked",
     "trust": "which modules may be read, not what they do",
     "checkpoint_every": "the last update is saved in any case, and that policy is tested",
     "groups": "worlds take turns; of another number only the random numbers differ",

@@ -210,7 +210,7 @@ class RunFolder:
     @property
     def at_last_stage(self) -> bool:
         """Whether no stage follows the one at hand."""
-        return self.stage is self.stages[-1]
+        return self.stage.number in (0, len(self.stages))
 
     def updates(self, learner: Learner) -> int:
         """Of all stages so far."""
