@@ -37,6 +37,7 @@ class Keys(TypedDict):
     seed: Seed
     env: NotRequired[Mapping[str, Any] | None]  # servo=NAME alone gives a part of one
     keep: Changes
+    memory: bool
     trial: Whole | None
     video: bool
     joint: Name
@@ -88,6 +89,7 @@ def main(cfg: DictConfig) -> None:
             checkpoint=cfg.checkpoint,
             change=[*servo_change(), *cfg.change],
             keep=cfg.keep,
+            memory=cfg.memory,
             world=battery.world,
         )
         setting = setting_of(cfg, options, str(choice("battery")), choice("servo"))

@@ -5,6 +5,7 @@ import pytest
 
 import zfall
 from zfall.evaluation import evaluate, load_battery
+from zfall.evaluation.candidate import load_candidate, load_candidates
 from zfall.evaluation.run import setting_name
 
 SMALL = {"starts": 1, "directions": 2, "impulses": [0.2, 1.9], "end_time": 5.0}
@@ -49,11 +50,26 @@ def test_an_envelope_is_bisected_from_python():
         ("best", "planar", {"keep": ["push"]}, "keep .*push"),
         ("best", "planar", {"env": "zeroth_fall"}, "env .*best"),
         ("best", "planar", {"change": ["transforms.action.skale=1"]}, "change .*skale"),
+        ("best", "planar", {"memory": False}, "memory must be true for a policy that has none"),
+        ("limp", "planar", {"memory": False}, "memory must be true for limp, which has none"),
     ],
 )
 def test_what_cannot_be_evaluated_is_refused(policy, battery, given, message):
     with pytest.raises(ValueError, match=message):
         evaluate(policy, battery, **given)
+
+
+def test_a_policy_may_be_made_to_forget():
+    """best_gru acts otherwise then, and what is known of it is kept apart."""
+    small = {"starts": 1, "directions": 1, "impulses": [0.3], "end_time": 3.5}
+    policy = zfall.load_policy("best_gru")
+    own, without = (evaluate(policy, num_envs=64, memory=memory, **small) for memory in (1, 0))
+    assert not own.trials["peak_tilt"].equals(without.trials["peak_tilt"])
+    battery = load_battery("planar", **small)
+    (candidate,) = load_candidates([policy], memory=False)
+    assert candidate.conditions(battery, seed=0)["memory"] is False
+    assert "memory" not in load_candidate(policy).conditions(battery, seed=0)
+    assert candidate.still().memory
 
 
 def test_options_belong_to_the_battery():

@@ -22,6 +22,7 @@ from zfall.evaluation.run_files import read_summary, read_table, reading
 from zfall.files import written_whole
 from zfall.fingerprints import weights_digest
 from zfall.meaning import meaning, strict
+from zfall.modules.memory import WithoutMemory
 from zfall.policies.load import Policy, checkpoint_of, load_policy, shipped
 from zfall.robots import Robot
 from zfall.static_checks import check_nodes
@@ -37,6 +38,7 @@ class Candidate:
         actor: the policy; ``None`` of a baseline.
         servos: whether the servos act.
         kept: what of the env's ``training_only`` is left on.
+        memory: whether the policy keeps what it remembers from step to step.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Candidate:
     actor: torch.nn.Module | None
     servos: bool = True
     kept: tuple[str, ...] = ()
+    memory: bool = True
 
     @property
     def robot(self) -> Robot:
@@ -62,7 +65,9 @@ class Candidate:
 
     def still(self) -> "Candidate":
         """Baseline ``pose_hold`` in the same env."""
-        return replace(self, name="pose_hold", env_cfg=passive(self.env_cfg), actor=None)
+        return replace(
+            self, name="pose_hold", env_cfg=passive(self.env_cfg), actor=None, memory=True
+        )
 
     def keep(self, names: Sequence[str]) -> "Candidate":
         """The same with some of what batteries leave out left on: noise, delays.
@@ -73,6 +78,16 @@ class Candidate:
         for name in set(names) & set(starts_and_pushes(self.env_cfg)):
             raise ValueError(f"keep must not name {name}: a battery has its own starts and pushes.")
         return replace(self, env_cfg=tables.keep(self.env_cfg, names), kept=tuple(names))
+
+    def forgetting(self) -> "Candidate":
+        """The same policy with a memory that begins anew in every step.
+
+        Raises:
+            ValueError: if it has none.
+        """
+        if self.actor is None:
+            raise ValueError(f"memory must be true for {self.name}, which has none.")
+        return replace(self, actor=WithoutMemory(self.actor), memory=False)
 
     def known(self, battery: Battery) -> dict[str, Any]:
         """What a summary says of it in a battery with a world of its own.
@@ -99,6 +114,7 @@ class Candidate:
             "seed": seed,
             "measures": MEASURES,
             "keep": list(self.kept),
+            **({} if self.memory else {"memory": False}),
             "config": config,
             "contents": contents_of(config),
         }
@@ -147,6 +163,7 @@ def load_candidates(
     checkpoint: str = "last",
     change: Sequence[str] = (),
     keep: Sequence[str] = (),
+    memory: bool = True,
     world: World | None = None,
 ) -> list[Candidate]:
     """Policies, each in its own world, and baselines.
@@ -161,6 +178,7 @@ def load_candidates(
         checkpoint: of run folders.
         change: values of all envs to replace.
         keep: what of each env's ``training_only`` to leave on.
+        memory: whether policies remember from step to step; else each step is their first.
         world: hardware of the battery that they are put to, if it has its own.
 
     Raises:
@@ -193,7 +211,8 @@ def load_candidates(
                     f"{key} must not name {name}: the battery has hardware of its own, "
                     "battery.world.PART.NAME.KEY=VALUE changes that."
                 )
-    return [candidate.keep(keep) for candidate in candidates]
+    kept = [candidate.keep(keep) for candidate in candidates]
+    return kept if memory else [candidate.forgetting() for candidate in kept]
 
 
 def _transform_of(change: str) -> str:

@@ -41,6 +41,7 @@ def evaluate(
     env: DictConfig | str | None = None,
     change: Sequence[str] = (),
     keep: Sequence[str] = (),
+    memory: bool = True,
     trust: Sequence[str] = (),
     console: Console = QUIET,
     **options: Any,
@@ -62,6 +63,7 @@ def evaluate(
         env: of a baseline, config or name; ``None``: that of the battery's kind.
         change: values of the env to replace, ``["transforms.action.scale=0.5"]``.
         keep: what of the env's ``training_only`` to leave on, ``["noise", "delay"]``.
+        memory: whether it remembers from step to step; else each step is its first.
         trust: modules of one's own that a run may name, see ``zfall.trust``; their code is run.
         console: on which to show progress.
         options: numbers of the battery to replace, ``starts=5``.
@@ -83,6 +85,7 @@ def evaluate(
             checkpoint=checkpoint,
             change=change,
             keep=keep,
+            memory=memory,
             world=given.world,
         )
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import TensorSpec
 from torchrl.envs import TensorDictPrimer, Transform
@@ -104,6 +104,33 @@ def _step_by_step(network: Any, sequences: TensorDictBase) -> list[dict[NestedKe
             after = part(step.copy().update(memory))
         memory = {key: after["next", key] for key in keys}
     return [*found, memory]
+
+
+class WithoutMemory(TensorDictModuleBase):
+    """A network whose memory begins anew in every step: what it does without knowing the past.
+
+    Keys: those of the network; what it remembers is read by nobody.
+
+    Args:
+        network: with a memory, not in recurrent mode.
+
+    Raises:
+        ValueError: if it has no memory, or one that does not begin with one number.
+    """
+
+    def __init__(self, network: nn.Module):
+        super().__init__()
+        if not recurrent_keys(network):
+            raise ValueError("memory must be true for a policy that has none.")
+        self.network = network
+        self.in_keys, self.out_keys = cast(Any, network).in_keys, cast(Any, network).out_keys
+        self._beginning = {key: value for key, (_, value) in memory_beginning(network).items()}
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """One step of ``(*B,)``."""
+        for key, value in self._beginning.items():
+            tensordict[key] = torch.full_like(tensordict[key], value)
+        return cast(TensorDictBase, self.network(tensordict))
 
 
 def rows_where(rows: Tensor, there: Tensor, elsewhere: Tensor) -> Tensor:
