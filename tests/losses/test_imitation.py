@@ -4,12 +4,14 @@ import copy
 
 import pytest
 import torch
+from omegaconf import OmegaConf, open_dict
 from tensordict import TensorDict
 from torch import nn
 from torch.distributions import Independent, Normal, kl_divergence
 from torch.testing import assert_close
 from torchrl.data import Composite, Unbounded
 
+from tests.shell import run
 from zfall import checkpoint
 from zfall.losses.imitation import ImitationLoss
 from zfall.modules.actors import gru_actor, mlp_actor
@@ -37,6 +39,73 @@ def test_loss_is_the_divergence_of_gaussians_of_the_same_deviation():
     divergence = kl_divergence(Independent(Normal(other, 0.3), 1), Independent(Normal(one, 0.3), 1))
     assert_close(loss, 0.7 * divergence.mean())
     assert loss > 0.1
+
+
+def test_a_teacher_is_shown_the_vector_that_it_sees():
+    policy, teacher = small_mlp(0), small_mlp(1)
+    seen, more = torch.randn(50, OBSERVED), torch.randn(50, OBSERVED)
+    batch = TensorDict({"observation": seen, "observation_critic": more}, [50])
+    module = ImitationLoss(policy, teacher, sees="observation_critic", std=0.5)
+    assert module.in_keys == ["observation", "observation_critic"]
+    mean = policy.get_dist(TensorDict({"observation": seen}, [50])).mean
+    shown = teacher.get_dist(TensorDict({"observation": more}, [50])).mean
+    expected = (mean - shown).square().sum(-1).mean() / (2 * 0.25)
+    assert_close(module(batch)["loss_imitation"], expected)
+
+
+MORE = "env.transforms.observation.keys=${env.transforms.observation_critic.keys}"
+TASK = ("num_envs=4", "rollout_steps=4", "epochs=1", "minibatches=1")
+IMITATION = "auxiliary_losses.imitation"
+
+
+@pytest.fixture(scope="module")
+def one_who_sees_more(tmp_path_factory):
+    """A run whose policy sees what the critic does."""
+    folder = tmp_path_factory.mktemp("teacher")
+    done = run("train", *TASK, MORE, "env.transforms.observation.measured=false",
+               "total_frames=16", "showcase=null", f"hydra.run.dir={folder}")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("symmetry", ["none", "augmentation"])
+def test_a_teacher_may_see_more_than_its_pupil(compose_config, one_who_sees_more, symmetry):
+    given = ["imitation=teacher", f"{IMITATION}.teacher={one_who_sees_more}",
+             f"{IMITATION}.sees=observation_critic", f"symmetry={symmetry}"]  # fmt: skip
+    learner = Learner(compose_config(*TASK, *given))
+    assert learner.learn(learner.collect())["loss_imitation"] > 0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "rule"),
+    [
+        ([], r"must have the same env.transforms.observation.measured, got False and True"),
+        ([f"{IMITATION}.sees=observation_teacher"], r"sees must be a vector of the env, observ"),
+        (
+            [f"{IMITATION}.sees=observation_critic", "env.transforms.observation_critic.keys=[target]"],
+            r"must have the same env.transforms.observation.keys, got",
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_teacher_is_shown_must_be_what_it_saw(
+    compose_config, one_who_sees_more, overrides, rule
+):
+    given = ["imitation=teacher", f"{IMITATION}.teacher={one_who_sees_more}", "symmetry=none"]
+    with pytest.raises(Exception, match=rule):
+        Learner(compose_config(*TASK, *given, *overrides))
+
+
+def test_what_is_mirrored_must_be_what_a_teacher_is_shown(compose_config, one_who_sees_more):
+    given = ["imitation=teacher", f"{IMITATION}.teacher={one_who_sees_more}"]
+    cfg = compose_config(*TASK, *given, f"{IMITATION}.sees=more", "symmetry=augmentation")
+    critic = cfg.env.transforms.observation_critic
+    with open_dict(cfg):
+        cfg.env.transforms.more = OmegaConf.merge(critic, {"out_key": "more"})
+    with pytest.raises(ValueError, match="imitation.sees must be .* the critic sees.*, got more"):
+        Learner(cfg)
+    cfg.augmentation = None
+    learner = Learner(cfg)
+    assert learner.learn(learner.collect())["loss_imitation"] > 0
 
 
 def test_gradient_is_that_of_the_mean_alone_and_the_teacher_has_none():

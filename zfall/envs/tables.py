@@ -100,19 +100,38 @@ def declaring(env_cfg: DictConfig, attribute: str) -> list[str]:
     ]
 
 
-def check_same_interface(configs: dict[str, DictConfig]) -> None:
+def check_same_interface(
+    configs: dict[str, DictConfig], sees: Mapping[str, str] | None = None
+) -> None:
     """Refuses policies, by name the config of each, that do not see or do the same.
 
+    Args:
+        configs: by name.
+        sees: by name the vector that counts in place of ``observation``, if it is another.
+
     Raises:
-        ValueError: naming what differs.
+        ValueError: naming what differs, or a vector that is not there.
     """
     names = " and ".join(configs)
+    seen = dict.fromkeys(configs, "observation") | dict(sees or {})
     for key in (*(f"transforms.{name}" for name in INTERFACE), "base_env.control_dt"):
-        values = [OmegaConf.select(cfg.env, key) for cfg in configs.values()]
+        if key == "transforms.observation" and {*seen.values()} != {"observation"}:
+            values = [_written_to(cfg.env, seen[name]) for name, cfg in configs.items()]
+        else:
+            values = [OmegaConf.select(cfg.env, key) for cfg in configs.values()]
         if any(value != values[0] for value in values):
             key, values = _where_they_differ(key, values)
             found = " and ".join(map(str, values))
             raise ValueError(f"{names} must have the same env.{key}, got {found}.")
+
+
+def _written_to(env_cfg: DictConfig, key: str) -> DictConfig:
+    """The transform of an env that writes this vector, without the vector's name."""
+    for transform in env_cfg.transforms.values():
+        if isinstance(transform, DictConfig) and transform.get("out_key") == key:
+            return OmegaConf.create({k: v for k, v in transform.items() if k != "out_key"})
+    written = [t.out_key for t in env_cfg.transforms.values() if t and t.get("out_key")]
+    raise ValueError(f"sees must be a vector of the env, {', '.join(written)}, got {key}.")
 
 
 def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:

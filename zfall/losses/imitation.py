@@ -27,12 +27,14 @@ class ImitationLoss(LossModule):
     is taught: how much the policy explores is up to it.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)``, ``(N, T, ...)`` of a recurrent one, and
-    ``deterministic_action`` in the place of mu if the batch has it; writes ``loss_imitation``
-    ``()``.
+    ``deterministic_action`` in the place of mu if the batch has it, and ``sees``; writes
+    ``loss_imitation`` ``()``.
 
     Args:
         actor_network: the policy.
-        teacher: a policy without memory that sees the same ``observation``; it stays as it is.
+        teacher: a policy without memory that reads ``observation`` alone; it stays as it is.
+        sees: where the batch has what the teacher is shown, ``observation`` or, of a teacher that
+            sees more than the policy, another vector: ``observation_critic``.
         coeff: weight.
         std: deviation for which two actions count as equal, in units of the action.
 
@@ -55,6 +57,7 @@ class ImitationLoss(LossModule):
         *,
         coeff: NotNegative = 1.0,
         std: Positive = 0.1,
+        sees: Name = "observation",
     ):
         super().__init__()
         if not 0 <= coeff < math.inf:
@@ -65,16 +68,23 @@ class ImitationLoss(LossModule):
             raise ValueError("teacher must be a policy without memory, got a recurrent one.")
         if more := [key for key in teacher.in_keys if key != "observation"]:
             raise ValueError(f"teacher must see the observation alone, this one sees {more[0]}.")
-        self.actor_network, self.in_keys = actor_network, list(actor_network.in_keys)
+        self.actor_network, self.sees = actor_network, sees
+        self.in_keys = list(dict.fromkeys([*actor_network.in_keys, sees]))
         self.weight = coeff / (2.0 * std**2)
         self._teacher: list[Any] = [teacher]  # in a list its weights are none of this module's
 
     @classmethod
     def for_task(
-        cls, actor_network: ProbabilisticActor, task: Any, *, teacher: Name, **values: Any
+        cls,
+        actor_network: ProbabilisticActor,
+        task: Any,
+        *,
+        teacher: Name,
+        sees: Name = "observation",
+        **values: Any,
     ) -> "ImitationLoss":
         """With the policy of a run, or one that ships, by its name as the teacher."""
-        return cls(actor_network, task.policy(teacher), **values)
+        return cls(actor_network, task.policy(teacher, sees), sees=sees, **values)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of a batch."""
@@ -83,7 +93,7 @@ class ImitationLoss(LossModule):
             with set_recurrent_mode(True):
                 seen = tensordict.select(*self.actor_network.in_keys)
                 mu = self.actor_network.get_dist(seen).deterministic_sample
-        shown = TensorDict({"observation": tensordict["observation"]}, tensordict.shape)
+        shown = TensorDict({"observation": tensordict[self.sees]}, tensordict.shape)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             target = self._teacher[0](shown)["action"]
         error = (mu - target).square().sum(-1).mean()

@@ -155,12 +155,19 @@ def policy_of(content: dict[str, Any], env_cfg: DictConfig, path: Path) -> torch
     return actor
 
 
-def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
+def read_teacher(
+    run: object, pupil: DictConfig, key: str, sees: str = "observation"
+) -> torch.nn.Module:
     """The policy of a run, for a training by the config of the ``pupil`` to learn from.
 
+    Args:
+        run: a run folder, the name of a policy that ships, or the file of a checkpoint.
+        pupil: config of the training.
+        key: where the run is named, for messages.
+        sees: the vector of the pupil's env that the teacher is shown as its ``observation``.
+
     Raises:
-        ValueError: if there is no such run, or its policy sees or does something else; ``key`` is
-            where it is named.
+        ValueError: if there is no such run, or its policy sees or does something else.
     """
     if not (isinstance(run, str) and run):
         raise ValueError(f"{key} must be a run folder or a policy that ships, got {run!r}.")
@@ -169,7 +176,7 @@ def read_teacher(run: object, pupil: DictConfig, key: str) -> torch.nn.Module:
     path = file if is_file else checkpoint_of(run, key=key)
     content = checkpoints.load(path)
     cfg = OmegaConf.create(content["config"])
-    check_same_interface({run: cfg, "this run": pupil})
+    check_same_interface({run: cfg, "this run": pupil}, sees={"this run": sees})
     robot = identity_of(robot_of(pupil.env))
     if content["robot"] != robot:
         raise ValueError(f"{key} must be of the robot {robot}, {run} is of {content['robot']}.")

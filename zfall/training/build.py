@@ -76,6 +76,12 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
                     f"{place}.neighbour_key must be observation_neighbour for the augmentation to "
                     f"mirror it, got {key}."
                 )
+            sees = getattr(loss, "sees", "observation")
+            if sees not in ("observation", *critic.in_keys):
+                raise ValueError(
+                    f"{place}.sees must be observation or what the critic sees, for the "
+                    f"augmentation to mirror it, got {sees}."
+                )
     losses = Losses(ppo_loss(cfg.loss, actor, critic), auxiliary, augmentation, task.teachers)
     check_losses(losses.by_place, [*actor.parameters(), *critic.parameters()])
     return losses

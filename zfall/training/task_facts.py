@@ -78,13 +78,17 @@ class TaskFacts:
         image = mirror_vector(base.robot, spans, base.joint_range, affine, declared)
         return image if frames == 1 else image.stacked(frames)
 
-    def policy(self, run: object) -> torch.nn.Module:
-        """A trained policy that sees and does the same, to learn from.
+    def policy(self, run: object, sees: str = "observation") -> torch.nn.Module:
+        """A trained policy to learn from.
+
+        Args:
+            run: a run folder, or the name of a policy that ships.
+            sees: the vector of this task that it is shown as its ``observation``.
 
         Raises:
             ValueError: if there is none, or it sees or does something else.
         """
-        policy = read_teacher(run, self.cfg, f"{self.place}.teacher")
+        policy = read_teacher(run, self.cfg, f"{self.place}.teacher", sees)
         self.teachers[self.place] = weights_digest(policy)
         return policy
 
