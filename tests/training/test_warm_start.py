@@ -11,15 +11,18 @@ from zfall.training.learner import Learner
 from zfall.training.warm_start import warm_start
 
 
-@pytest.fixture
-def trained(compose_config, tmp_path):
-    """Content of the checkpoint of a run, and its folder."""
-    learner = Learner(compose_config("num_envs=8", "rollout_steps=2"))
+def trained_in(folder, cfg):
+    """A run folder after one update."""
+    learner = Learner(cfg)
     learner.learn(learner.collect())
-    folder = tmp_path / "run"
     (folder / "checkpoints").mkdir(parents=True)
     checkpoint.save(folder / "checkpoints" / "last.pt", learner.state_dict())
     return folder
+
+
+@pytest.fixture
+def trained(compose_config, tmp_path):
+    return trained_in(tmp_path / "run", compose_config("num_envs=8", "rollout_steps=2"))
 
 
 def test_the_policy_acts_as_that_run_and_explores_as_configured(trained, compose_config):
@@ -58,6 +61,22 @@ def test_a_policy_that_does_not_fit_is_refused(trained, compose_config, given, m
     learner = Learner(compose_config("num_envs=8", "rollout_steps=2", given))
     with pytest.raises(ValueError, match=message):
         warm_start(learner, str(trained))
+
+
+def test_a_mixture_with_a_lower_floor_acts_as_before_and_explores_by_as_much_less(
+    compose_config, tmp_path
+):
+    given = ("num_envs=8", "rollout_steps=2", "actor=mlp_mog")
+    with_floor = compose_config(*given, "actor.std_range=[0.2,1.0]")
+    run_folder = trained_in(tmp_path / "run", with_floor)
+    learner = Learner(compose_config(*given, "actor.std_range=[0.05,1.0]", "seed=5"))
+    warm_start(learner, str(run_folder))
+    theirs = load_policy(run_folder).actor
+    td = learner.env.fake_tensordict().select("observation")
+    td["observation"] = torch.randn(td["observation"].shape)
+    mine, other = learner.actor.get_dist(td.clone()), theirs.get_dist(td.clone())
+    assert_close(mine.mean, other.mean, atol=0, rtol=0)
+    assert_close(mine.scale, other.scale - 0.15)
 
 
 def test_from_the_shell_the_training_starts_where_that_run_ended(tmp_path):

@@ -10,12 +10,15 @@ from zfall.policies.load import checkpoint_of
 from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
 
+UNTOLD = {"activation": "elu"}  # which no weight tells of: what is meant without it
+
 
 def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = False) -> None:
     """Gives the actor, and the critic if it sees the same and is configured alike, a run's weights.
 
     The deviation of a plain Gaussian that does not depend on the state stays as configured, so
-    that the policy explores anew, unless it is kept.
+    that the policy explores anew, unless it is kept. Any other deviation goes on; a mixture with a
+    lower floor explores by as much less.
 
     Args:
         learner: before its first update.
@@ -31,9 +34,8 @@ def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = Fals
     check_same_interface({str(run): theirs, "this run": learner.cfg})
     robot = identity_of(learner.env.base_env.robot)
     checkpoint.check_fits(content, robot, learner.actor, path)
-    untold = ("activation", "std_range") if learner.cfg.actor.get("components") else ("activation",)
-    for key in untold:  # which no weight tells of
-        one, other = (cfg.actor.get(key) for cfg in (theirs, learner.cfg))
+    for key, otherwise in UNTOLD.items():
+        one, other = (cfg.actor.get(key, otherwise) for cfg in (theirs, learner.cfg))
         if one != other:
             raise ValueError(
                 f"{run} and this run must have the same actor.{key}, got {one} and {other}."
