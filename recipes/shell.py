@@ -20,12 +20,12 @@ from zfall.configs import config_folder, plain_containers
 from zfall.errors import SPOKEN, in_one_line
 from zfall.help import help_of
 from zfall.static_checks import check_numbers
-from zfall.values import Count, Name, Rule, one_of
+from zfall.values import Count, Name, Rule
 
 TRACEBACK = "ZFALL_TRACEBACK"  # set to 1 it shows where an error came from
 
 
-Checkpoint = Annotated[str, one_of("last", "best")]
+Checkpoint = Name  # of a run folder: last, best, or a stage that is over
 Run = Annotated[str, Rule("be a run folder or a name", lambda x: bool(x.strip()) and "\0" not in x)]
 Changes = Sequence[Name]
 Starts = Count | None

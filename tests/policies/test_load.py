@@ -1,5 +1,7 @@
 """Policies by name and from run folders."""
 
+import shutil
+
 import pytest
 import torch
 from rich.console import Console
@@ -45,6 +47,20 @@ def test_a_value_of_the_env_can_be_replaced(folder):
     assert policy.config.env.transforms.action.scale == 0.3
     with pytest.raises(ValueError, match=r"change must .*transforms\.nothing"):
         zfall.load_policy(folder, changes=["transforms.nothing=1"])
+
+
+def test_what_a_stage_came_to_is_a_checkpoint_like_others(folder, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(folder, run)
+    (run / "checkpoints" / "last.pt").rename(run / "checkpoints" / "early.pt")
+    (run / "checkpoints" / "last.pt").write_bytes(b"")
+    early, whole = zfall.load_policy(run, checkpoint="early"), zfall.load_policy(folder)
+    states = (policy.actor.state_dict() for policy in (early, whole))
+    assert all(map(torch.equal, *(state.values() for state in states)))
+    wrong = {"late": "must be last or best or early, got late", "../run/early": r"got \.\./run"}
+    for name, rule in wrong.items():
+        with pytest.raises(ValueError, match=rule):
+            zfall.load_policy(run, checkpoint=name)
 
 
 @pytest.mark.parametrize("link", ["play.json", "evaluation", "checkpoints/last.tmp"])

@@ -61,7 +61,7 @@ def load_policy(
 
     Args:
         run: a run folder, or the name of a policy that ships.
-        checkpoint: of a run folder, ``last`` or ``best``.
+        checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         changes: values of its env to replace, ``["transforms.mode.angle=0.4"]``.
         trust: modules of one's own that its config may name, ``["my_terms"]``; their code is run.
 
@@ -86,18 +86,20 @@ def checkpoint_of(
 
     Args:
         run: the folder, or the name of the policy.
-        name: of the checkpoint, ``last`` or ``best``.
+        name: of the checkpoint: ``last``, ``best``, or a stage of that run that is over.
         key: what to call it, should there be none.
         others: what else may stand there.
 
     Raises:
         ValueError: if there is neither.
     """
-    if name not in ("last", "best"):
-        raise ValueError(f"checkpoint must be last or best, got {name}.")
     if not isinstance(run, str):
         raise ValueError(f"{key} must be the name of one folder or policy, got {run}.")
-    path = shipped(run)
+    path, names = shipped(run), ["last", "best"]
+    if not path.exists():
+        names += sorted({each.stem for each in Path(run).glob("checkpoints/*.pt")} - {*names})
+    if name not in names:
+        raise ValueError(f"checkpoint must be {' or '.join(names)}, got {name}.")
     if path.exists():
         return path
     if not Path(run).is_dir():
