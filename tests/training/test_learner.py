@@ -19,6 +19,7 @@ from torchrl.objectives import LossModule
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of
+from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.metrics import batch_metrics
 
@@ -682,7 +683,7 @@ def test_an_actor_of_unknown_variance_and_entropy_learns(compose_config):
                        "+actor={_target_: tests.training.test_learner.bare_actor}")
     )  # fmt: skip
     batch = learner.collect()
-    assert learner.exploration(batch) == {}
+    assert exploration_of(learner.actor, batch) == {}
     assert learner.learn(batch)["loss_objective"] != 0.0
 
 

@@ -14,6 +14,7 @@ from zfall.envs.tables import robot_of
 from zfall.evaluation.baselines import passive
 from zfall.evaluation.battery import battery_env, play, run_battery
 from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.kinds.planar import success_by_size
 from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import learning_curves, success_map
@@ -42,7 +43,7 @@ def battery_of(cfg: DictConfig) -> Battery | None:
         return None
     name = showcase.get("battery", "planar")
     battery = load_battery(name, impulses=list(showcase.sizes), starts=showcase.starts)
-    if not battery.kind.endswith(".Planar"):
+    if not kind_of(battery).needs_training_size:  # which alone has a success by size
         raise ValueError(
             f"showcase.battery must be planar, twin or another of their kind, got {name}."
         )

@@ -1,7 +1,6 @@
 """One training: collects batches and learns from them."""
 
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 import torch
@@ -33,8 +32,6 @@ from zfall.training.minibatches import (
     rows_of,
 )
 from zfall.training.optimizers import build_optimizer, follow
-
-EXPLORING = 16  # worlds whose exploration is looked at
 
 
 class Learner:
@@ -155,22 +152,6 @@ class Learner:
         self._average.update_parameters(self.actor)
         self.updates += 1
         return means_of(outputs) | {"kl": divergence, "passes": passes}
-
-    @torch.no_grad()
-    def exploration(self, batch: TensorDictBase) -> dict[str, float]:
-        """How much the policy explores: standard deviation and entropy of its actions.
-
-        Means over a few rows of a batch and over joints; in units of the action, and nats.
-        """
-        some = batch[:EXPLORING].select(*self.actor.in_keys)
-        with torch.random.fork_rng(devices=[]):  # the entropy of a mixture is drawn
-            policy, _ = policy_pass(self.actor, some)
-            figures = {}
-            with suppress(NotImplementedError):  # not every distribution has them
-                figures["policy/std"] = policy.variance.sqrt().mean().item()
-            with suppress(NotImplementedError):
-                figures["policy/entropy"] = policy.entropy().mean().item()
-        return figures
 
     @property
     def loss(self) -> PenalizedPPOLoss:

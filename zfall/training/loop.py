@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from zfall import checkpoint
 from zfall.configs import compose_config
+from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
@@ -127,7 +128,7 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
             losses = learner.learn(batch)
             times.append(time.perf_counter())
             metrics = batch_metrics(batch, learner.carrier, control_dt)
-            figures = learner.exploration(batch) if run.loggers else {}
+            figures = exploration_of(learner.actor, batch) if run.loggers else {}
             run.write(learner, metrics, losses, times, figures)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates in (1, total):
                 run.save_last_and_best(learner)
