@@ -113,6 +113,8 @@ def test_without_a_normaliser_the_observation_goes_in_as_it_is(build):
         ({"std": 1.2, "components": 2}, "not over 1.0, got 1.2"),
         ({"std": 0.0, "learn_std": False}, "std must be positive, got 0"),
         ({"components": -1}, "components must not be negative, got -1"),
+        ({"spread": 0.1}, "spread must be of components, and not negative, got 0.1"),
+        ({"spread": -0.1, "components": 3}, "spread must be of components, and not .*, got -0.1"),
         ({"num_cells": []}, r"num_cells must be widths of at least 1, one or more, got \[\]"),
         ({"num_cells": [8, 0]}, r"num_cells must be widths of at least 1.*got \[8, 0\]"),
     ],
@@ -302,6 +304,14 @@ def test_deviation_of_the_state_differs_from_state_to_state():
     assert_close(std, 0.3 * (features @ net[-1].deviation.weight.T).exp())
     actor.get_dist(TensorDict({"observation": torch.randn(3, 50)}, [3])).variance.sum().backward()
     assert actor[0].module[-1].deviation.weight.grad.abs().max() > 0
+
+
+def test_means_of_a_mixture_that_lie_apart_add_to_the_deviation_of_the_action():
+    """Means of -s, 0 and s, as likely as each other: their variance is 2 s^2 / 3."""
+    actor = mlp_actor(*specs(), components=3, std=0.11, spread=0.09)
+    td = TensorDict({"observation": torch.zeros(3, 50)}, batch_size=[3])
+    variance = actor.get_dist(td).variance
+    assert_close(variance, torch.full_like(variance, 0.11**2 + 2 * 0.09**2 / 3))
 
 
 @pytest.mark.parametrize("components", [0, 3])

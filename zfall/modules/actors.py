@@ -151,7 +151,8 @@ def mlp_actor(
         head: ``shared_components``:
             whether all joints are of the same one, a mixture over the whole action; ``std``:
             standard deviation at the start, in units of the action; ``std_range``: its floor and
-            cap; of a plain Gaussian ``learn_std``: whether it is learned, and ``state_std``:
+            cap; ``spread``: of the means of a mixture at the start; of a plain Gaussian
+            ``learn_std``: whether it is learned, and ``state_std``:
             whether it depends on the state. See ``make_head``.
 
     Raises:

@@ -10,7 +10,7 @@ from torchrl.modules import IndependentNormal
 
 from zfall.modules.mixture import MixtureOfGaussians
 from zfall.modules.shared_mixture import SharedMixtureOfGaussians
-from zfall.values import INFINITE, ORDERED, Positive, Whole
+from zfall.values import INFINITE, ORDERED, NotNegative, Positive, Whole
 
 
 class _Bounded(torch.autograd.Function):
@@ -190,6 +190,7 @@ class HeadValues(TypedDict, total=False):
     learn_std: bool
     state_std: bool
     std_range: Annotated[Sequence[Annotated[float, INFINITE]], ORDERED] | None
+    spread: NotNegative | None
 
 
 def make_head(
@@ -202,12 +203,14 @@ def make_head(
     learn_std: bool = True,
     state_std: bool = False,
     std_range: Sequence[float] | None = None,
+    spread: float | None = None,
 ) -> Head:
     """A Gaussian head for no component, else a mixture of so many.
 
     Raises:
         ValueError: if the deviation of a mixture is to be fixed, or no component to be shared, or
-            the deviation is not positive or lies outside of its range.
+            the deviation is not positive or lies outside of its range, or means are to be spread
+            that are one or by less than nothing.
     """
     if components < 0:
         raise ValueError(f"components must not be negative, got {components}.")
@@ -222,6 +225,10 @@ def make_head(
     low, high = known.get("std_range", (0.01, 1.0) if components else (0.02, math.inf))
     if learn_std and not low < std <= high:
         raise ValueError(f"std must lie above the floor {low} and not over {high}, got {std}.")
+    if spread is not None:
+        if components == 0 or not spread >= 0:
+            raise ValueError(f"spread must be of components, and not negative, got {spread}.")
+        known["spread"] = spread
     if components == 0:
         if shared_components:
             raise ValueError("shared_components needs components, got 0 of them.")
