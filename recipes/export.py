@@ -58,6 +58,7 @@ def main(cfg: DictConfig) -> None:
             export(policy.actor, folder / "policy.onnx", size=about["observation_size"])
         finally:
             remove_if_empty(folder)
+    about["checkpoint"] = cfg.checkpoint
     (folder / "policy.json").write_text(json.dumps(about, indent=2))
     remove_if_empty(output)  # what was written lies in the run folder
     place = shown_path(folder)

@@ -88,7 +88,9 @@ def main(cfg: DictConfig) -> None:
     )
     output = Path(HydraConfig.get().runtime.output_dir)
     folder = Path(cfg.run) if Path(cfg.run).is_dir() else output  # one that ships has none
-    (folder / "play.json").write_text(json.dumps(played.figures, indent=2))
+    (folder / "play.json").write_text(
+        json.dumps({"checkpoint": cfg.checkpoint, **played.figures}, indent=2)
+    )
     written = "play.json"
     for key, value in played.figures.items():
         console.print(f"{key}: {value:.3g}")

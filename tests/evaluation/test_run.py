@@ -50,7 +50,7 @@ def test_an_envelope_is_bisected_from_python():
         ("best", "planar", {"keep": ["push"]}, "keep .*push"),
         ("best", "planar", {"env": "zeroth_fall"}, "env .*best"),
         ("best", "planar", {"change": ["transforms.action.skale=1"]}, "change .*skale"),
-        ("best", "planar", {"memory": False}, "memory must be true for a policy that has none"),
+        ("best", "planar", {"memory": False}, "memory must be true for best, which has none"),
         ("limp", "planar", {"memory": False}, "memory must be true for limp, which has none"),
     ],
 )

@@ -80,10 +80,10 @@ def test_a_teacher_may_see_more_than_its_pupil(compose_config, one_who_sees_more
     ("overrides", "rule"),
     [
         ([], r"must have the same env.transforms.observation.measured, got False and True"),
-        ([f"{IMITATION}.sees=observation_teacher"], r"sees must be a vector of the env, observ"),
+        ([f"{IMITATION}.sees=observation_teacher"], r"this run must have a vector observation_teacher in its env, has observation_critic, obs"),
         (
             [f"{IMITATION}.sees=observation_critic", "env.transforms.observation_critic.keys=[target]"],
-            r"must have the same env.transforms.observation.keys, got",
+            r"env.transforms.observation.keys \(of this run that of observation_critic\), got",
         ),
     ],
 )  # fmt: skip

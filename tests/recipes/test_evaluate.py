@@ -169,7 +169,8 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evalu
             ["run=best", "battery=twin", "change=['transforms.noise.std.feet_force=2.0']"],
             "error: change must not name noise: the battery has hardware of its own",
         ),
-        (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best, got foo."),
+        (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best of best, got foo"),
+        (["run=limp", "checkpoint=foo"], "error: checkpoint must be last or best of limp, got foo"),
         (["run=best", "starts=abc"], "error: starts must be a whole number or null, got abc."),
         (["run=best", "impulses=0.4"], "error: impulses must be a list, [0.4], or null, got 0.4."),
         (

@@ -116,22 +116,24 @@ def check_same_interface(
     seen = dict.fromkeys(configs, "observation") | dict(sees or {})
     for key in (*(f"transforms.{name}" for name in INTERFACE), "base_env.control_dt"):
         if key == "transforms.observation" and {*seen.values()} != {"observation"}:
-            values = [_written_to(cfg.env, seen[name]) for name, cfg in configs.items()]
+            values = [_written_to(cfg.env, seen[name], name) for name, cfg in configs.items()]
         else:
             values = [OmegaConf.select(cfg.env, key) for cfg in configs.values()]
         if any(value != values[0] for value in values):
             key, values = _where_they_differ(key, values)
             found = " and ".join(map(str, values))
-            raise ValueError(f"{names} must have the same env.{key}, got {found}.")
+            other = [f"of {name} that of {vector}" for name, vector in (sees or {}).items()]
+            which = f" ({', '.join(other)})" if other and "observation" in key else ""
+            raise ValueError(f"{names} must have the same env.{key}{which}, got {found}.")
 
 
-def _written_to(env_cfg: DictConfig, key: str) -> DictConfig:
-    """The transform of an env that writes this vector, without the vector's name."""
+def _written_to(env_cfg: DictConfig, key: str, name: str) -> DictConfig:
+    """The transform of an env, called ``name``, that writes this vector; without its key."""
     for transform in env_cfg.transforms.values():
         if isinstance(transform, DictConfig) and transform.get("out_key") == key:
             return OmegaConf.create({k: v for k, v in transform.items() if k != "out_key"})
     written = [t.out_key for t in env_cfg.transforms.values() if t and t.get("out_key")]
-    raise ValueError(f"sees must be a vector of the env, {', '.join(written)}, got {key}.")
+    raise ValueError(f"{name} must have a vector {key} in its env, has {', '.join(written)}.")
 
 
 def _where_they_differ(key: str, values: list[Any]) -> tuple[str, list[Any]]:

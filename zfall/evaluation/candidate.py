@@ -22,6 +22,7 @@ from zfall.evaluation.run_files import read_summary, read_table, reading
 from zfall.files import written_whole
 from zfall.fingerprints import weights_digest
 from zfall.meaning import meaning, strict
+from zfall.modules.actors import recurrent_keys
 from zfall.modules.memory import WithoutMemory
 from zfall.policies.load import Policy, checkpoint_of, load_policy, shipped
 from zfall.robots import Robot
@@ -85,7 +86,7 @@ class Candidate:
         Raises:
             ValueError: if it has none.
         """
-        if self.actor is None:
+        if self.actor is None or not recurrent_keys(self.actor):
             raise ValueError(f"memory must be true for {self.name}, which has none.")
         return replace(self, actor=WithoutMemory(self.actor), memory=False)
 
@@ -131,7 +132,7 @@ def load_candidate(
 
     Args:
         run: a policy, a run folder, or the name of a policy that ships or of a baseline.
-        checkpoint: of a run folder, ``last`` or ``best``.
+        checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         change: values of the env to replace.
         task: the env of a baseline: its config, or its name in ``recipes/env``.
 
@@ -143,6 +144,8 @@ def load_candidate(
         return Candidate(run.name, changed(run.config.env, list(change)), run.actor)
     if run in (names := baseline_names()):
         baseline = load_baseline(run)
+        if checkpoint not in ("last", "best"):
+            raise ValueError(f"checkpoint must be last or best of {run}, got {checkpoint}.")
         if isinstance(task, DictConfig):
             check_nodes(plain_containers(task), "env")
         env_cfg: DictConfig = (

@@ -59,7 +59,7 @@ def evaluate(
         battery: its name, or what ``load_battery`` gives.
         seed: of the battery.
         num_envs: worlds that run together, at most; changes no outcome.
-        checkpoint: of a run folder, ``last`` or ``best``.
+        checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         env: of a baseline, config or name; ``None``: that of the battery's kind.
         change: values of the env to replace, ``["transforms.action.scale=0.5"]``.
         keep: what of the env's ``training_only`` to leave on, ``["noise", "delay"]``.

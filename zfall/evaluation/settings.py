@@ -58,7 +58,7 @@ def setting_of(cfg: DictConfig, options: dict[str, Any], name: str, servo: str |
     given |= {"servo": servo} if servo else {}
     given |= {"change": cfg.change} if cfg.change else {}
     given |= {"keep": sorted(cfg.keep)} if cfg.keep else {}
-    given |= {} if cfg.memory else {"memory": "none"}
+    given |= {} if cfg.memory else {"memory": False}
     given |= {"seed": cfg.seed} if cfg.seed != 0 else {}
     given |= {"checkpoint": cfg.checkpoint} if cfg.checkpoint != "last" else {}
     return setting_name(name, given)

@@ -118,7 +118,7 @@ def switched_checkpoint(
     Args:
         recover: run folder of a policy that recovers, or the name of one that ships.
         kneel: likewise of a policy that kneels, or ``script``.
-        checkpoint_name: of the run folders, ``last`` or ``best``.
+        checkpoint_name: of the run folders, ``last``, ``best``, or a stage of both that is over.
         changes: values of the env to replace, ``["transforms.mode.probability=0.9"]``.
 
     Raises:

@@ -40,7 +40,7 @@ class ImitationLoss(LossModule):
 
     Raises:
         ValueError: on a weight below 0, a deviation that is not positive, or a teacher that has a
-            memory or sees more.
+            memory or reads more than one vector.
 
     Source: Ross et al., "A reduction of imitation learning and structured prediction to no-regret
     online learning", AISTATS 2011; beside a policy gradient: Schmitt et al., "Kickstarting deep

@@ -209,8 +209,8 @@ def make_head(
 
     Raises:
         ValueError: if the deviation of a mixture is to be fixed, or no component to be shared, or
-            the deviation is not positive or lies outside of its range, or means are to be spread
-            that are one or by less than nothing.
+            to have a spread, the deviation is not positive or lies outside of its range, or the
+            spread is negative.
     """
     if components < 0:
         raise ValueError(f"components must not be negative, got {components}.")
@@ -226,8 +226,10 @@ def make_head(
     if learn_std and not low < std <= high:
         raise ValueError(f"std must lie above the floor {low} and not over {high}, got {std}.")
     if spread is not None:
-        if components == 0 or not spread >= 0:
-            raise ValueError(f"spread must be of components, and not negative, got {spread}.")
+        if components == 0:
+            raise ValueError("spread needs components, got 0 of them.")
+        if not spread >= 0:
+            raise ValueError(f"spread must not be negative, got {spread}.")
         known["spread"] = spread
     if components == 0:
         if shared_components:

@@ -121,7 +121,7 @@ class WithoutMemory(TensorDictModuleBase):
     def __init__(self, network: nn.Module):
         super().__init__()
         if not recurrent_keys(network):
-            raise ValueError("memory must be true for a policy that has none.")
+            raise ValueError("network must have a memory to be without it, got one that has none.")
         self.network = network
         self.in_keys, self.out_keys = cast(Any, network).in_keys, cast(Any, network).out_keys
         self._beginning = {key: value for key, (_, value) in memory_beginning(network).items()}
@@ -180,7 +180,7 @@ def memory_beginning(network: nn.Module) -> dict[NestedKey, tuple[TensorSpec, fl
         if key not in begins or math.isnan(begins[key][1]):
             raise ValueError(
                 f"the memory {key} must begin with one number, which its primer gives "
-                "(default_value), to be mirrored or exported; got none."
+                "(default_value), to be put back, mirrored or exported; got none."
             )
     return {key: begins[key] for key in recurrent_keys(network)}
 

@@ -96,11 +96,8 @@ def checkpoint_of(
     if not isinstance(run, str):
         raise ValueError(f"{key} must be the name of one folder or policy, got {run}.")
     path, names = shipped(run), ["last", "best"]
-    if not path.exists():
-        names += sorted({each.stem for each in Path(run).glob("checkpoints/*.pt")} - {*names})
-    if name not in names:
-        raise ValueError(f"checkpoint must be {' or '.join(names)}, got {name}.")
     if path.exists():
+        _check_named(name, names, run)
         return path
     if not Path(run).is_dir():
         ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
@@ -109,7 +106,14 @@ def checkpoint_of(
             f"there is no folder {run}."
         )
     check_holds_run(Path(run), key)
+    stages = {file.stem for file in Path(run).glob("checkpoints/*.pt")} - {*names}
+    _check_named(name, [*names, *sorted(stages)], run)
     return Path(run) / "checkpoints" / f"{name}.pt"
+
+
+def _check_named(name: str, names: Sequence[str], run: str) -> None:
+    if name not in names:
+        raise ValueError(f"checkpoint must be {' or '.join(names)} of {run}, got {name}.")
 
 
 def check_holds_run(folder: Path, key: str) -> None:
@@ -178,7 +182,8 @@ def read_teacher(
     path = file if is_file else checkpoint_of(run, key=key)
     content = checkpoints.load(path)
     cfg = OmegaConf.create(content["config"])
-    check_same_interface({run: cfg, "this run": pupil}, sees={"this run": sees})
+    seen = {} if sees == "observation" else {"this run": sees}
+    check_same_interface({run: cfg, "this run": pupil}, sees=seen)
     robot = identity_of(robot_of(pupil.env))
     if content["robot"] != robot:
         raise ValueError(f"{key} must be of the robot {robot}, {run} is of {content['robot']}.")

@@ -28,7 +28,7 @@ LOSS_KEYS = set(LossKeys.__annotations__)
 TASK_FACTS = {  # what losses take of the task, and what of ``TaskFacts`` gives it
     "spans": "task.spans(key)",
     "mirrors": "task.mirror(key)",
-    "teacher": "task.policy(run)",
+    "teacher": "task.policy(run, sees)",
     "task": "task",
 }
 

@@ -10,15 +10,16 @@ from zfall.policies.load import checkpoint_of
 from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
 
-UNTOLD = {"activation": "elu"}  # which no weight tells of: what is meant without it
+# Which no weight tells of, and what is meant without them.
+UNTOLD = {"activation": "elu", "statistic": "mean"}
 
 
 def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = False) -> None:
     """Gives the actor, and the critic if it sees the same and is configured alike, a run's weights.
 
     The deviation of a plain Gaussian that does not depend on the state stays as configured, so
-    that the policy explores anew, unless it is kept. Any other deviation goes on; a mixture with a
-    lower floor explores by as much less.
+    that the policy explores anew, unless it is kept. Any other deviation goes on; that of
+    a mixture with a lower floor is by as much less, below its cap.
 
     Args:
         learner: before its first update.
