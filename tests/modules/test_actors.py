@@ -15,6 +15,7 @@ from torchrl.modules import set_recurrent_mode
 
 from zfall.modules.actors import gru_actor, mlp_actor, mlp_trunk, normalizer_of
 from zfall.modules.critics import gru_critic
+from zfall.modules.gru import StackedGRU
 
 
 def specs(size: int = 50, critic: int = 484) -> tuple[Composite, Unbounded]:
@@ -113,8 +114,8 @@ def test_without_a_normaliser_the_observation_goes_in_as_it_is(build):
         ({"std": 1.2, "components": 2}, "not over 1.0, got 1.2"),
         ({"std": 0.0, "learn_std": False}, "std must be positive, got 0"),
         ({"components": -1}, "components must not be negative, got -1"),
-        ({"spread": 0.1}, "spread must be of components, and not negative, got 0.1"),
-        ({"spread": -0.1, "components": 3}, "spread must be of components, and not .*, got -0.1"),
+        ({"spread": 0.1}, "spread needs components, got 0 of them"),
+        ({"spread": -0.1, "components": 3}, "spread must not be negative, got -0.1"),
         ({"num_cells": []}, r"num_cells must be widths of at least 1, one or more, got \[\]"),
         ({"num_cells": [8, 0]}, r"num_cells must be widths of at least 1.*got \[8, 0\]"),
     ],
@@ -361,3 +362,30 @@ def test_a_deviation_at_its_bound_comes_back_but_goes_no_further(start, bound):
         assert torch.allclose(scale, torch.tensor(bound))
         (gradient,) = torch.autograd.grad(sign * scale.sum(), parameter)
         assert bool((gradient != 0).all()) is moves
+
+
+@pytest.mark.parametrize("num_layers", [1, 2])
+def test_cells_of_a_gru_remember_for_up_to_so_many_steps(num_layers):
+    """Without inputs a cell keeps z of what it holds: it remembers for 1 / (1 - z) steps."""
+    actor = gru_actor(*specs(), hidden_size=256, num_layers=num_layers, memory_steps=20)
+    (gru,) = (module for module in actor.modules() if isinstance(module, StackedGRU))
+    for name, values in gru.named_parameters():
+        if "weight" in name:
+            torch.nn.init.zeros_(values)
+        else:  # what a cell takes in is 0
+            torch.nn.init.zeros_(values.data[512:])
+    memory = torch.ones(1, num_layers, 256)
+    td = TensorDict({gru.in_keys[0]: torch.zeros(1, 256), "is_init": torch.zeros(1, 1).bool()}, [1])
+    td[gru.in_keys[1]] = memory
+    with torch.no_grad():
+        kept = gru(td)[gru.out_keys[1]]
+    steps = 1.0 / (1.0 - kept)
+    assert 2.0 <= steps.min() < 3.0
+    assert 19.0 < steps.max() <= 20.0 + 1e-3
+    assert steps.mean().item() == pytest.approx(11.0, abs=1.0)  # uniform from 2 to 20
+
+
+@pytest.mark.parametrize("steps", [1.5, math.inf])
+def test_a_memory_of_no_or_endless_steps_is_refused(steps):
+    with pytest.raises(ValueError, match="memory_steps must be at least 2 and finite, got"):
+        gru_actor(*specs(), memory_steps=steps)

@@ -14,7 +14,7 @@ from torchrl.modules import ProbabilisticActor
 from zfall.modules.gru import StackedGRU
 from zfall.modules.heads import GaussianHead, Head, HeadValues, make_head
 from zfall.modules.normalization import ObservationNormalizer
-from zfall.values import Count, Whole, one_of
+from zfall.values import Count, Positive, Whole, one_of
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 Activation = Annotated[str, one_of(*_ACTIVATIONS)]
@@ -62,6 +62,7 @@ def gru_trunk(
     in_key: str,
     encoder_cells: Sequence[int] = (),
     activation: str = "elu",
+    memory_steps: float | None = None,
 ) -> tuple[TensorDictModule, StackedGRU]:
     """A linear layer and stacked GRU cells: ``in_key`` ``(*B, size)`` -> ``features_ROLE``.
 
@@ -69,10 +70,19 @@ def gru_trunk(
     drawn layer by layer: ``orthogonal``, those of each gate by themselves, with biases of zero, or
     as torch does by itself, ``default``. The hidden state is ``recurrent_state_ROLE``.
 
+    Of what a cell remembers, a GRU keeps about half in each step at the start, and the gradient
+    through many steps vanishes. With ``memory_steps`` T the biases of the gates that keep are
+    log(u), u uniform from 1 to T - 1, so that cells remember for 2 to T steps.
+
     Raises:
-        ValueError: on an unknown initialization, or no layer or cell.
+        ValueError: on an unknown initialization, no layer or cell, or fewer than 2 steps.
+
+    Source of these biases: Tallec and Ollivier, "Can recurrent neural networks warp time?",
+    ICLR 2018.
     """
     _check_initialization(initialization)
+    if memory_steps is not None and not 2 <= memory_steps < math.inf:
+        raise ValueError(f"memory_steps must be at least 2 and finite, got {memory_steps}.")
     for name, value in (("hidden_size", hidden_size), ("num_layers", num_layers)):
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value}.")
@@ -87,6 +97,12 @@ def gru_trunk(
             else:
                 for gate in values.split(hidden_size):
                     nn.init.orthogonal_(gate)
+    if memory_steps is not None:
+        for name, values in gru.named_parameters():
+            if "bias" in name:
+                keeps = values.data[hidden_size : 2 * hidden_size]
+                both = torch.empty_like(keeps).uniform_(1.0, memory_steps - 1.0).log()
+                keeps.copy_(both if "bias_ih" in name else torch.zeros_like(keeps))
     encoder = nn.Sequential(*normalizer(size, normalize), *front, linear)
     return TensorDictModule(encoder, in_keys=[in_key], out_keys=[embedding]), gru
 
@@ -179,6 +195,7 @@ def gru_actor(
     encoder_cells: Sequence[Count] = (),
     num_cells: Sequence[Count] = (),
     activation: Activation = "elu",
+    memory_steps: Positive | None = None,
     residual: bool = False,
     normalize: bool = True,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
@@ -202,6 +219,8 @@ def gru_actor(
         encoder_cells: widths of layers in front of the linear layer that the GRU reads.
         num_cells: widths of layers between the GRU and the head.
         activation: behind each of both: ``elu``, ``relu`` or ``tanh``.
+        memory_steps: up to how many steps cells remember at the start, see ``gru_trunk``; ``None``:
+            about two.
         residual: whether what the GRU layers read is added to what the last of them gives, so that
             they learn a correction of it (He et al., "Deep residual learning for image
             recognition", CVPR 2016).
@@ -224,6 +243,7 @@ def gru_actor(
         in_key="observation",
         encoder_cells=encoder_cells,
         activation=activation,
+        memory_steps=memory_steps,
     )
     modules = [encoder, gru]
     if residual:
