@@ -23,7 +23,7 @@ def test_a_direction_shown_once_is_known_a_second_later_by_a_memory_alone(
     """Without memory the least error is 1, that of the action 0."""
     cfg = compose_config(
         "num_envs=64", f"rollout_steps={STEPS}", "epochs=4", "minibatches=2", f"actor={actor}",
-        "critic.num_cells=[32]", "loss.lmbda=0.0", "optimizer.lr=5e-3", "scheduler=null",
+        "critic.num_cells=[32]", "loss.lmbda=0.0", "optimizer.lr=2e-3", "scheduler=null",
         "symmetry=none", "statistics_batches=0",
     )  # fmt: skip
     if actor == "gru_mog":
