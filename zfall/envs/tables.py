@@ -128,10 +128,15 @@ def check_same_interface(
 
 
 def _written_to(env_cfg: DictConfig, key: str, name: str) -> DictConfig:
-    """The transform of an env, called ``name``, that writes this vector; without its key."""
+    """The transform of an env, called ``name``, that writes this vector.
+
+    Without its key, and without whether it reads what is measured or what is true.
+    """
     for transform in env_cfg.transforms.values():
         if isinstance(transform, DictConfig) and transform.get("out_key") == key:
-            return OmegaConf.create({k: v for k, v in transform.items() if k != "out_key"})
+            return OmegaConf.create(
+                {k: v for k, v in transform.items() if k not in ("out_key", "measured")}
+            )
     written = [t.out_key for t in env_cfg.transforms.values() if t and t.get("out_key")]
     raise ValueError(f"{name} must have a vector {key} in its env, has {', '.join(written)}.")
 

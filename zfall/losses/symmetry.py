@@ -113,8 +113,8 @@ class SymmetryAugmentation(nn.Module):
     bool, by which ``PenalizedPPOLoss`` leaves images out of the divergence.
 
     Args:
-        networks: actor and critic.
-        mirrors: of ``action`` and all that the networks see.
+        networks: actor and critic, and losses that show a teacher what it ``sees``.
+        mirrors: of ``action`` and all that these see.
         share: part of the samples that are mirrored, each for itself.
 
     Raises:

@@ -68,19 +68,16 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
         auxiliary[place] = build_loss(config, place, actor, task)
     augmentation = None
     if cfg.augmentation:
-        augmentation = build_loss(cfg.augmentation, "augmentation", [actor, critic], task)
+        # What a teacher is shown is mirrored like what the networks see.
+        teaching = [loss for loss in auxiliary.values() if hasattr(loss, "sees")]
+        seeing = [actor, critic, *teaching]
+        augmentation = build_loss(cfg.augmentation, "augmentation", seeing, task)
         for place, loss in auxiliary.items():
             key = getattr(loss, "neighbour_key", None)
             if key not in (None, "observation_neighbour"):
                 raise ValueError(
                     f"{place}.neighbour_key must be observation_neighbour for the augmentation to "
                     f"mirror it, got {key}."
-                )
-            sees = getattr(loss, "sees", "observation")
-            if sees not in ("observation", *critic.in_keys):
-                raise ValueError(
-                    f"{place}.sees must be observation or what the critic sees, for the "
-                    f"augmentation to mirror it, got {sees}."
                 )
     losses = Losses(ppo_loss(cfg.loss, actor, critic), auxiliary, augmentation, task.teachers)
     check_losses(losses.by_place, [*actor.parameters(), *critic.parameters()])
