@@ -5,6 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from zfall.evaluation.pendulum import (
+    FOOT_RADIUS,
+    STEP_TIME,
     duration_factor,
     endless_stepping_bound,
     no_step_bound,
@@ -44,6 +46,24 @@ def test_bounds_are_those_of_the_bare_feet():
     assert ahead / factor * speed == pytest.approx(0.34, abs=0.01)
     assert left / factor * speed == pytest.approx(0.69, abs=0.01)
     assert endless_stepping_bound(ZEROTH01, 0.1) == pytest.approx(1.04, abs=0.01)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.06])
+def test_endless_steps_that_begin_late_take_up_just_less_than_the_bound(delay):
+    """The capture point of a sudden push, from foot to foot: xi' = w (xi - p)."""
+    omega = (GRAVITY / ZEROTH01.com_height) ** 0.5
+
+    def falls(impulse: float) -> bool:
+        ahead, foot = impulse * ZEROTH01.com_height, 0.0
+        for seconds in (delay, *[STEP_TIME] * 60):
+            edge = foot + FOOT_RADIUS
+            ahead = edge + (ahead - edge) * np.exp(omega * seconds)
+            foot += 0.0 if seconds == delay else 0.12
+        return ahead - foot > 1.0
+
+    bound = endless_stepping_bound(ZEROTH01, 1e-9, delay=delay, step_length=0.12)
+    assert falls(1.001 * bound)
+    assert not falls(0.999 * bound)
 
 
 def test_support_is_that_of_two_soles_beside_each_other():

@@ -27,7 +27,7 @@ def test_a_direction_shown_once_is_known_a_second_later_by_a_memory_alone(
         "symmetry=none", "statistics_batches=0",
     )  # fmt: skip
     if actor == "gru_mog":
-        cfg.actor.hidden_size, cfg.actor.num_layers, cfg.actor.components = 16, 1, 0
+        cfg.actor.hidden_size, cfg.actor.components, cfg.actor.memory_steps = 16, 0, STEPS
     cfg.env = {"_target_": "tests.memory_task.make_env", "num_envs": 64}
     learner = Learner(cfg)
     for _ in range(UPDATES):

@@ -77,14 +77,26 @@ def no_step_bound(robot: Robot, angle: ArrayLike, duration: float) -> Array:
     return reach / robot.com_height * duration_factor(duration, robot.com_height)
 
 
-def endless_stepping_bound(robot: Robot, duration: float) -> float:
+def endless_stepping_bound(
+    robot: Robot, duration: float, *, delay: float = 0.0, step_length: float = STEP_LENGTH
+) -> float:
     """Largest dimensionless impulse that steps without end can take up, in any direction.
 
     With steps of length l and time T and feet of radius r the capture point may be
     ``d = l e^(-w T) / (1 - e^(-w T)) + r`` ahead (Koolen et al. 2012); the push's velocity is w d.
+    While the first step waits, the center of pressure is at the edge of the foot, and what is
+    ahead of that edge grows: ``d`` becomes ``r + (d - r) e^(-w delay)``.
+
+    Args:
+        robot: gives the height of the center of mass.
+        duration: of the push [s].
+        delay: from the push to the begin of the first step [s].
+        step_length: l [m].
     """
-    decay = np.exp(-((GRAVITY / robot.com_height) ** 0.5) * STEP_TIME)
-    distance = STEP_LENGTH * decay / (1.0 - decay) + FOOT_RADIUS
+    omega = (GRAVITY / robot.com_height) ** 0.5
+    decay = np.exp(-omega * STEP_TIME)
+    ahead = step_length * decay / (1.0 - decay)  # of the edge of the foot
+    distance = ahead * np.exp(-omega * delay) + FOOT_RADIUS
     return float(distance / robot.com_height) * duration_factor(duration, robot.com_height)
 
 
