@@ -638,7 +638,10 @@ class WantingMirrors(LossModule):
     ("loss", "rule"),
     [
         ("WantingMirrors", r"classmethod for_task\(actor_network, task, .* task.mirror"),
-        ("Wanting, teacher: best", r"for_task.* which takes teacher: task.policy\(run\) gives it"),
+        (
+            "Wanting, teacher: best",
+            r"for_task.* which takes teacher: task.policy\(run, sees\) gives it",
+        ),
     ],
 )
 def test_a_loss_that_cannot_ask_the_task_is_told_how(compose_config, loss, rule):
