@@ -204,7 +204,7 @@ def gru_actor(
     """Recurrent actor: layers of an encoder, stacked GRU cells, layers, a head.
 
     Without ``encoder_cells`` and ``num_cells`` the encoder is one linear layer, and the head reads
-    the GRU: all but the GRU's gates is then linear.
+    the GRU: all but the GRU is then linear.
 
     Reads ``observation`` ``(*B, D)``, ``is_init`` and its own hidden state under
     ``recurrent_state_actor`` ``(*B, num_layers, hidden_size)``, whose successor it writes under
