@@ -43,6 +43,7 @@ def test_a_table_that_fits_is_taken(more):
         ({"mode": "median"}, "run.mode must be mean or mode or 1, got median."),
         ({"inner": 3}, "run.inner must be a table of sizes, got 3."),
         ({"inner": {"sizes": 3}}, "run.inner.sizes must be a list, [3], got 3."),
+        ({"inner": {"sizes": None}}, "run.inner.sizes must be a list, got null."),
         ({"inner": {"sizes": [1, 0]}}, "run.inner.sizes.1 must be at least 1, got 0."),
         ({"inner": {}}, "run.inner.sizes must be given, a list; it is not there."),
         ({"more": 3}, "run.more must be a table or null, got 3."),

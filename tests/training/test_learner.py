@@ -387,6 +387,13 @@ def test_sigma_by_name_finds_its_place_in_the_observation(compose_config):
     assert not caps.sigma[46:].any()
 
 
+def test_null_leaves_an_auxiliary_loss_out(compose_config):
+    learner = Learner(
+        compose_config("num_envs=2", "caps=atalante", "auxiliary_losses.caps=null", "symmetry=loss")
+    )
+    assert list(learner.losses.auxiliary) == ["auxiliary_losses.symmetry"]
+
+
 @pytest.mark.parametrize("actor", ["mlp_gaussian", pytest.param("gru_mog", marks=pytest.mark.slow)])
 def test_conditioning_for_smoothness_makes_the_policy_smoother(compose_config, actor):
     """How much the action without exploration changes from step to step, after some updates."""

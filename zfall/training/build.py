@@ -64,6 +64,8 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
     task = TaskFacts(env, cfg)
     auxiliary = {}
     for name, config in cfg.auxiliary_losses.items():
+        if config is None:
+            continue
         place = f"auxiliary_losses.{name}"
         auxiliary[place] = build_loss(config, place, actor, task)
     augmentation = None

@@ -57,7 +57,8 @@ def check_config(cfg: DictConfig) -> None:
     """
     check_ranges(cfg)
     for name, loss in cfg.auxiliary_losses.items():
-        target_of(loss, f"auxiliary_losses.{name}")
+        if loss is not None:
+            target_of(loss, f"auxiliary_losses.{name}")
     for number, logger in enumerate(cfg.logger or ()):
         target_of(logger, f"logger.{number}")
     if cfg.augmentation is not None:

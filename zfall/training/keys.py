@@ -72,7 +72,7 @@ class TrainKeys(TypedDict):
     checkpoint_every: Count
     name: Name | int | None
     logger: Sequence[Node] | None
-    auxiliary_losses: Mapping[str, Node]
+    auxiliary_losses: Mapping[str, Node | None]
     auxiliary_share: FractionAboveZero
     augmentation: Node | None
     optimizer: Node

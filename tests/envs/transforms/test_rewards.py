@@ -44,8 +44,8 @@ def test_reward_is_the_weighted_sum_and_keeps_its_summands(make_base):
     assert_close(after["reward_terms", "two"], torch.tensor([[0.0], [-0.5], [-1.0]]))
 
 
-def test_weight_of_none_leaves_a_term_out(make_base):
-    env = build(make_base, {"one": (2.0, ones), "two": (None, world)})
+def test_null_or_a_weight_of_null_leaves_a_term_out(make_base):
+    env = build(make_base, {"one": (2.0, ones), "two": (None, world), "three": None})
     td = env.reset()
     td["action"] = torch.zeros(3, 20)
     after = env.step(td)["next"]

@@ -24,7 +24,8 @@ class WeightedReward(Transform):
     Args:
         env: the base env; terms that ask for ``robot`` or ``joint_range`` are given its own.
         terms: ``name: [weight, term]``, a term being a function of the TensorDicts before and
-            after the step that returns ``(N, 1)``. A weight of ``null`` leaves the term out.
+            after the step that returns ``(N, 1)``. ``null`` in the place of the entry or of its
+            weight leaves the term out.
 
     Raises:
         ValueError: if no term is left, an entry is none, or, at the first step, a term reads what
@@ -35,13 +36,15 @@ class WeightedReward(Transform):
         self,
         env: HumanoidEnv,
         *,
-        terms: Mapping[str, tuple[float | None, Callable[..., Tensor] | None]],
+        terms: Mapping[str, tuple[float | None, Callable[..., Tensor] | None] | None],
     ):
         super().__init__()
         needs_env(self, env, "the steps of its worlds")
         self.shape = (env.num_envs, 1)
         self.terms = {}
         for name, entry in terms.items():
+            if entry is None:
+                continue
             if not (isinstance(entry, (list, tuple)) and len(entry) == 2):
                 raise ValueError(f"terms.{name} must be [weight, function], got {entry}.")
             weight, term = entry
