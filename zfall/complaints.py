@@ -241,7 +241,8 @@ def _be(kind: Any, value: Any) -> str:
         return _be(get_args(kind)[0], value)
     origin = get_origin(kind) or kind
     if origin in LISTS:
-        return "be a list" if value is None or isinstance(value, Mapping) else f"be a list, [{shown(value)}],"
+        no_repair = value is None or isinstance(value, Mapping)
+        return "be a list" if no_repair else f"be a list, [{shown(value)}],"
     return f"be {described(kind)}"
 
 

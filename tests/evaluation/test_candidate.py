@@ -97,6 +97,14 @@ def test_a_baseline_meets_the_first_policy_in_whose_world_it_can_act():
         load_candidates(["best", "pose_hold"], task="zeroth_fall")
 
 
+def test_a_checkpoint_is_that_of_the_runs_and_baselines_have_none(trained):
+    run, still = load_candidates([str(trained), "pose_hold"], checkpoint="best")
+    assert (run.name, still.name) == (str(trained), "pose_hold")
+    for others in (["pose_hold"], [zfall.load_policy("best"), "pose_hold"]):
+        with pytest.raises(ValueError, match="checkpoint must be last or best of pose_hold, got"):
+            load_candidates(others, checkpoint="foo")
+
+
 def test_a_policy_is_taken_as_it_is_or_by_its_name():
     given, named = load_candidate(zfall.load_policy("best")), load_candidate("best")
     battery = load_battery("planar", starts=1)

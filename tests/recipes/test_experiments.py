@@ -8,6 +8,7 @@ from hydra.utils import instantiate
 from tests.shell import TINY, run
 from zfall.falling.files import own_file
 from zfall.robots import ZEROTH01
+from zfall.training.stages import stages_of
 
 FALLS = own_file(ZEROTH01, "falls.npz")
 PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
@@ -84,3 +85,20 @@ def test_atalante_is_conditioned_for_smoothness(name, compose_config):
     assert caps.spatial_coeff > 0
     if name == "atalante_standing":
         assert (cfg.num_envs, cfg.total_frames) == (40, 100_000_000)
+
+
+def test_the_twin_is_learned_in_an_easy_world_first(compose_config):
+    """What the first four stages leave out; all critics see the same, so that they go on."""
+    stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
+    assert list(stages) == ["step", "steady", "calmer", "calm", "twin"]
+    hardware = {"jitter", "backlash", "physics", "encoder_late", "imu_late", "zeros", "mounting"}
+    for name, cfg in stages.items():
+        hard, transforms = name == "twin", cfg.env.transforms
+        assert cfg.env.base_env.servo_dynamics == hard
+        assert transforms.latency.delay == ([0.01, 0.035] if hard else [0.0, 0.008])
+        there = {key for key in hardware if transforms[key] is not None}
+        assert there == (hardware if hard else set())
+        assert transforms.observation_critic == stages["twin"].env.transforms.observation_critic
+        assert (cfg.augmentation is None) == (name != "step")
+    weights = [cfg.env.transforms.reward.terms.still for cfg in stages.values()]
+    assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2]

@@ -205,8 +205,9 @@ def load_candidates(
         fits = load_baseline(run).fits
         worlds = [policy.env_cfg for policy in policies if fits(policy.env_cfg)]
         own_task = task if task is not None else next(iter(worlds), default_task)
-        of_policies = checkpoint if not own else "last"  # which baselines have not
-        candidates.append(load_candidate(run, checkpoint=of_policies, change=change, task=own_task))
+        # A checkpoint is that of the run folders. Without one it is refused, as of any baseline.
+        wanted = "last" if any(isinstance(run, str) for run in own) else checkpoint
+        candidates.append(load_candidate(run, checkpoint=wanted, change=change, task=own_task))
     for candidate in candidates:
         gone = replaced(candidate.env_cfg, world)
         for key, named in (("keep", [*keep]), ("change", [_transform_of(x) for x in change])):

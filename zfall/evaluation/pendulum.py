@@ -85,12 +85,12 @@ def endless_stepping_bound(
     With steps of length l and time T and feet of radius r the capture point may be
     ``d = l e^(-w T) / (1 - e^(-w T)) + r`` ahead (Koolen et al. 2012); the push's velocity is w d.
     While the first step waits, the center of pressure is at the edge of the foot, and what is
-    ahead of that edge grows: ``d`` becomes ``r + (d - r) e^(-w delay)``.
+    ahead of that edge grows, so that less may be at first: ``d`` is ``r + (d - r) e^(-w delay)``.
 
     Args:
         robot: gives the height of the center of mass.
         duration: of the push [s].
-        delay: from the push to the begin of the first step [s].
+        delay: from the push to the beginning of the first step [s].
         step_length: l [m].
     """
     omega = (GRAVITY / robot.com_height) ** 0.5

@@ -14,11 +14,12 @@ from torchrl.modules import ProbabilisticActor
 from zfall.modules.gru import StackedGRU
 from zfall.modules.heads import GaussianHead, Head, HeadValues, make_head
 from zfall.modules.normalization import ObservationNormalizer
-from zfall.values import Count, Positive, Whole, one_of
+from zfall.values import Count, Rule, Whole, one_of
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 Activation = Annotated[str, one_of(*_ACTIVATIONS)]
 Initialization = Annotated[str, one_of("orthogonal", "default")]
+MemorySteps = Annotated[float, Rule("be at least 2 and finite", lambda x: 2 <= x < math.inf)]
 
 
 def mlp_trunk(
@@ -195,7 +196,7 @@ def gru_actor(
     encoder_cells: Sequence[Count] = (),
     num_cells: Sequence[Count] = (),
     activation: Activation = "elu",
-    memory_steps: Positive | None = None,
+    memory_steps: MemorySteps | None = None,
     residual: bool = False,
     normalize: bool = True,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",

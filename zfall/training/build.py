@@ -11,6 +11,7 @@ from torchrl.data import Composite
 from torchrl.envs import TransformedEnv
 from torchrl.objectives.value import GAE
 
+from zfall.errors import named
 from zfall.losses.advantage import RecurrentGAE
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
@@ -71,8 +72,11 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
     augmentation = None
     if cfg.augmentation:
         # What a teacher is shown is mirrored like what the networks see.
-        teaching = [loss for loss in auxiliary.values() if hasattr(loss, "sees")]
-        seeing = [actor, critic, *teaching]
+        teaching = {place: loss for place, loss in auxiliary.items() if hasattr(loss, "sees")}
+        for place, loss in teaching.items():
+            with named(f"{place}.sees"):
+                task.mirror(loss.sees)
+        seeing = [actor, critic, *teaching.values()]
         augmentation = build_loss(cfg.augmentation, "augmentation", seeing, task)
         for place, loss in auxiliary.items():
             key = getattr(loss, "neighbour_key", None)
