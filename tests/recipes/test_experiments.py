@@ -87,18 +87,23 @@ def test_atalante_is_conditioned_for_smoothness(name, compose_config):
         assert (cfg.num_envs, cfg.total_frames) == (40, 100_000_000)
 
 
-def test_the_twin_is_learned_in_an_easy_world_first(compose_config):
-    """What the first four stages leave out; all critics see the same, so that they go on."""
+def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
+    """What each stage leaves out; all critics see the same, so that they go on."""
     stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
-    assert list(stages) == ["step", "steady", "calmer", "calm", "twin"]
+    assert list(stages) == ["step", "steady", "calmer", "calm", "late", "twin"]
+    quick = compose_config("experiment=quickstart").env.transforms
+    kept = {"push", "limit", "start", "action", "observation", "observation_critic", "terminations"}
+    for key in kept:
+        assert stages["step"].env.transforms[key] == quick[key], key
     hardware = {"jitter", "backlash", "physics", "encoder_late", "imu_late", "zeros", "mounting"}
     for name, cfg in stages.items():
-        hard, transforms = name == "twin", cfg.env.transforms
-        assert cfg.env.base_env.servo_dynamics == hard
-        assert transforms.latency.delay == ([0.01, 0.035] if hard else [0.0, 0.008])
+        transforms = cfg.env.transforms
+        assert cfg.env.base_env.servo_dynamics == (name == "twin")
         there = {key for key in hardware if transforms[key] is not None}
-        assert there == (hardware if hard else set())
-        assert transforms.observation_critic == stages["twin"].env.transforms.observation_critic
-        assert (cfg.augmentation is None) == (name != "step")
+        assert there == (hardware if name == "twin" else set())
+        late = name in ("late", "twin")
+        assert transforms.latency.delay == ([0.01, 0.035] if late else [0.0, 0.008])
+        assert (cfg.augmentation is None) == late
+        assert transforms.observation_critic == quick.observation_critic
     weights = [cfg.env.transforms.reward.terms.still for cfg in stages.values()]
-    assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2]
+    assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2, 0.2]
