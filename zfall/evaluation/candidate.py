@@ -205,7 +205,7 @@ def load_candidates(
         fits = load_baseline(run).fits
         worlds = [policy.env_cfg for policy in policies if fits(policy.env_cfg)]
         own_task = task if task is not None else next(iter(worlds), default_task)
-        # A checkpoint is that of the run folders. Without one it is refused, as of any baseline.
+        # It names a checkpoint of the runs beside; alone, a baseline refuses it.
         wanted = "last" if any(isinstance(run, str) for run in own) else checkpoint
         candidates.append(load_candidate(run, checkpoint=wanted, change=change, task=own_task))
     for candidate in candidates:
