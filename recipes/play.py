@@ -37,6 +37,7 @@ class Keys(TypedDict):
     seed: Seed
     trust: Changes
     keep: Changes
+    change: Changes
     servo: NotRequired[Any]
     video: bool
 
@@ -64,7 +65,8 @@ def main(cfg: DictConfig) -> None:
         console = Console()
         check_values(cfg)
         given = {"task": cfg.env} if choice("env") else {}
-        player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=servo_change(), **given)
+        change = [*servo_change(), *cfg.change]
+        player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=change, **given)
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         world = {"num_envs": worlds, "powered": player.servos}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from omegaconf.errors import ConfigKeyError
 
 from zfall.configs import options_of
 from zfall.envs.make import left_out
@@ -88,6 +89,17 @@ def test_servos_can_be_changed_in_the_table_of_a_run(compose_config):
         changed(env, ["servo=mine"])
     with pytest.raises(ValueError, match="there is no base_env.servos.left_knee_pitch.kp"):
         changed(env, ["base_env.servos.left_knee_pitch.kp=22"])
+
+
+def test_a_table_of_another_class_replaces_the_whole_of_it(compose_config):
+    env = compose_config("env=push_recovery").env
+    kick = "{_target_: zfall.envs.transforms.pushes.VelocityKick, velocity: [0.1, 0.2], interval: [1.0, 2.0]}"
+    push = changed(env, [f"transforms.push={kick}"]).transforms.push
+    assert set(push) == {"_target_", "velocity", "interval"}
+    larger = changed(env, ["transforms.push={size: [0.7, 0.9]}"]).transforms.push
+    assert larger == {**env.transforms.push, "size": [0.7, 0.9]}
+    with pytest.raises(ConfigKeyError, match="sizes"):
+        changed(env, ["transforms.push={sizes: [0.7, 0.9]}"])
 
 
 def test_worlds_with_other_servos_are_told_apart(compose_config, monkeypatch):

@@ -30,6 +30,18 @@ def test_baselines_play_in_the_env_that_is_given(tmp_path):
     assert "env must be given for baselines alone, best has its own." in done.stderr
 
 
+def test_pushes_of_a_film_can_be_planned(tmp_path):
+    """4.9 N s from the side fell the held pose, 0.5 N s do not (I = 1.0 and 0.1)."""
+    where = [f"hydra.run.dir={tmp_path}", "seconds=2.0", "video=false", "num_envs=64"]
+    who = ["run=pose_hold", "env=push_recovery", "keep=[push]"]
+    target = "zfall.envs.transforms.pushes.ScriptedPush"
+    for newtons, fell in ((49, 64), (5, 0)):
+        planned = f"{{_target_: {target}, point: torso, duration: 0.1, time: 0.5, plan: [0, {newtons}, 0]}}"
+        done = run("play", *who, *where, f"change=['transforms.push={planned}']")
+        assert done.returncode == 0, done.stderr
+        assert json.loads((tmp_path / "play.json").read_text())["fell"] == fell
+
+
 def test_a_policy_that_ships_leaves_its_figures_in_hydras_folder(tmp_path):
     done = run("play", "run=atalante", "seconds=0.2", "video=false", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr

@@ -27,24 +27,26 @@ def robot_of(cfg: DictConfig) -> Robot:
 def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
     """The env's config with some of its values replaced, ``transforms.mode.angle=0.4``.
 
+    A table with a ``_target_`` replaces all that was there, another one is merged into it.
     ``servo=NAME`` gives it the servos of ``recipes/servo``; values of these can be changed after.
 
     Raises:
         ValueError: on a key that is not there, a value that it cannot have, servos that there are
-            not, or something else
-            than a list.
+            not, or something else than a list.
     """
     if isinstance(changes, str) or not isinstance(changes, Sequence):
         raise ValueError(f"change must be a list, [{changes}], got {changes}.")
     new = env_cfg.copy()  # keeps what it refers to outside of itself
     for change in map(str, changes):
-        key, _, value = change.partition("=")
+        key, _, text = change.partition("=")
         if key == "servo":
-            new = with_servos(new, value)
+            new = with_servos(new, text)
             continue
         if OmegaConf.select(new, key, default="missing") == "missing":
             raise ValueError(f"change must name a value of the env, there is no {key}.")
-        OmegaConf.update(new, key, OmegaConf.select(OmegaConf.from_dotlist([change]), key))
+        value = OmegaConf.select(OmegaConf.from_dotlist([change]), key)
+        whole = isinstance(value, DictConfig) and "_target_" in value  # of another class: no merge
+        OmegaConf.update(new, key, value, merge=not whole, force_add=whole)
     if changes:
         check_nodes(plain_containers(new))
     return new
