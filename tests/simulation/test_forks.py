@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from zfall.envs.humanoid import HumanoidEnv
@@ -46,6 +47,28 @@ def fork_what_has_stepped() -> None:
 
     assert in_a_fork(same) == 0
     assert same()
+
+
+def fork_worlds_with_models_of_their_own() -> None:
+    """Torch's threads have worked before, and would share the work on so many worlds."""
+    env = HumanoidEnv(num_envs=512, control_dt=0.04, threads=2)
+    masses = np.broadcast_to(env.simulation.field("body_mass"), (512, env.simulation.model.nbody))
+    env.simulation.set_fields(torch.ones(512, dtype=torch.bool), {"body_mass": 1.1 * masses})
+    assert torch.ones(1_000_000).sum() == 1_000_000
+    assert in_a_fork(lambda: True) == 0
+
+
+def test_a_fork_of_worlds_with_models_of_their_own_does_not_wait_for_ever():
+    """A film's encoder is such a process. What is at work in it before it is one, ends in time."""
+    command = (
+        "import os, signal; os.register_at_fork(after_in_child=lambda: signal.alarm(30));"
+        f"from {__name__} import fork_worlds_with_models_of_their_own as work; work()"
+    )
+    alone = {**os.environ, "OMP_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", command], env=alone, cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_forked_process_frees_and_steps_what_it_inherits():
