@@ -96,8 +96,12 @@ def test_a_table_of_another_class_replaces_the_whole_of_it(compose_config):
     kick = "{_target_: zfall.envs.transforms.pushes.VelocityKick, velocity: [0.1, 0.2], interval: [1.0, 2.0]}"
     push = changed(env, [f"transforms.push={kick}"]).transforms.push
     assert set(push) == {"_target_", "velocity", "interval"}
-    larger = changed(env, ["transforms.push={size: [0.7, 0.9]}"]).transforms.push
-    assert larger == {**env.transforms.push, "size": [0.7, 0.9]}
+    same = f"_target_: {env.transforms.push._target_}, size: [0.7, 0.9]"
+    for larger in ("size: [0.7, 0.9]", same):
+        push = changed(env, [f"transforms.push={{{larger}}}"]).transforms.push
+        assert push == {**env.transforms.push, "size": [0.7, 0.9]}
+    with pytest.raises(ValueError, match="change must be KEY=VALUE, got transforms.push"):
+        changed(env, ["transforms.push"])
     with pytest.raises(ConfigKeyError, match="sizes"):
         changed(env, ["transforms.push={sizes: [0.7, 0.9]}"])
 

@@ -27,7 +27,8 @@ def robot_of(cfg: DictConfig) -> Robot:
 def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
     """The env's config with some of its values replaced, ``transforms.mode.angle=0.4``.
 
-    A table with a ``_target_`` replaces all that was there, another one is merged into it.
+    A table with the ``_target_`` of another class replaces the one that was there, others are
+    merged into it.
     ``servo=NAME`` gives it the servos of ``recipes/servo``; values of these can be changed after.
 
     Raises:
@@ -38,14 +39,17 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
         raise ValueError(f"change must be a list, [{changes}], got {changes}.")
     new = env_cfg.copy()  # keeps what it refers to outside of itself
     for change in map(str, changes):
-        key, _, text = change.partition("=")
+        key, given, text = change.partition("=")
+        if not given:
+            raise ValueError(f"change must be KEY=VALUE, got {change}.")
         if key == "servo":
             new = with_servos(new, text)
             continue
         if OmegaConf.select(new, key, default="missing") == "missing":
             raise ValueError(f"change must name a value of the env, there is no {key}.")
         value = OmegaConf.select(OmegaConf.from_dotlist([change]), key)
-        whole = isinstance(value, DictConfig) and "_target_" in value  # of another class: no merge
+        target = value.get("_target_") if isinstance(value, DictConfig) else None
+        whole = target is not None and target != OmegaConf.select(new, f"{key}._target_")
         OmegaConf.update(new, key, value, merge=not whole, force_add=whole)
     if changes:
         check_nodes(plain_containers(new))

@@ -170,9 +170,9 @@ class Simulation:
         if not fields:
             return
         if not self._fields:  # from here on with fields of its own
-            state = self._batch.state.copy()
+            state = self._all.clone()
             self._begin()
-            self._batch.state[:] = state  # by numpy: in a fork torch waits for threads it has lost
+            self._all.copy_(state)
         which = rows.numpy()
         for name, value in fields.items():
             if name not in self._fields:

@@ -9,6 +9,8 @@ import os
 from typing import Any, Protocol
 from weakref import WeakSet
 
+import torch
+
 
 class Threaded(Protocol):
     """What has threads."""
@@ -27,6 +29,7 @@ def begin_again_in_forks(threaded: Threaded) -> None:
 
 
 def _begin_again() -> None:
+    torch.set_num_threads(1)  # its own threads are gone as well, and it would wait for them
     for threaded in list(_THREADED):
         for lost in threaded.begin_again():
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(lost))
