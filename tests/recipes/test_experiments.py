@@ -103,7 +103,16 @@ def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
         assert there == (hardware if name == "twin" else set())
         late = name in ("late", "twin")
         assert transforms.latency.delay == ([0.01, 0.035] if late else [0.0, 0.008])
-        assert (cfg.augmentation is None) == late
+        assert (cfg.augmentation is None) == (late or name == "calm")
         assert transforms.observation_critic == quick.observation_critic
     weights = [cfg.env.transforms.reward.terms.still for cfg in stages.values()]
     assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2, 0.2]
+    rates = [cfg.optimizer.lr for cfg in stages.values()]
+    assert rates == [
+        5e-4,
+        5e-4,
+        3e-5,
+        3e-5,
+        3e-5,
+        3e-5,
+    ]  # the policy's deviation is small from there
