@@ -59,7 +59,7 @@ def fork_worlds_with_models_of_their_own() -> None:
 
 
 def test_a_fork_of_worlds_with_models_of_their_own_does_not_wait_for_ever():
-    """A film's encoder is such a process. What is at work in it before it is one, ends in time."""
+    """A film's encoder starts as such a process. An alarm ends one that waits."""
     command = (
         "import os, signal; os.register_at_fork(after_in_child=lambda: signal.alarm(30));"
         f"from {__name__} import fork_worlds_with_models_of_their_own as work; work()"
