@@ -1,11 +1,12 @@
 """Strategies of made-up and of simulated trials."""
 
+import pandas as pd
 import pytest
 import torch
 from tensordict import TensorDict
 
 from tests.evaluation.moments import ended, moment
-from zfall.evaluation.strategies import Strategies
+from zfall.evaluation.strategies import AMOUNTS, Strategies, strategy_table
 
 
 def record(num: int = 1, **values: torch.Tensor) -> TensorDict:
@@ -103,3 +104,54 @@ def test_a_step_under_way_at_the_push_counts_from_where_it_began(make_base):
     strategies.before(record(feet_contact=lifted, feet_position=half), moment([True], -0.04))
     strategies.update(record(feet_position=whole), moment([True], 0.04))
     assert strategies.table(ended([False]))["steps"].item() == 1
+
+
+def trials(amounts: dict[str, list[float]], *, impulse: float) -> pd.DataFrame:
+    """Recovered trials, pushed forward, with the given amounts; the rest is as of a robot at rest."""
+    n = len(next(iter(amounts.values())))
+    rest = {column: [0.0] * n for column, _ in AMOUNTS.values()}
+    table = pd.DataFrame(
+        {**rest, **amounts, "impulse": impulse, "recovered": True, "direction_rad": 0.0}
+    )
+    for name, (column, bound) in AMOUNTS.items():
+        table[f"strategy/{name}"] = table[column] > bound
+    return table.assign(
+        **{"strategy/ankle": ~table[[f"strategy/{name}" for name in AMOUNTS]].any(axis=1)}
+    )
+
+
+def test_of_one_that_always_steps_only_the_steps_beyond_its_usual_ones_are_the_pushs():
+    """With no push it takes 10 to 12 steps, pushed 11, 12, 13 and 20: two of four took more than ever."""
+    control = trials({"steps": [10, 11, 12, 12], "hip_rad": [0.1, 0.1, 0.1, 0.2]}, impulse=0.0)
+    pushed = trials({"steps": [11, 12, 13, 20], "hip_rad": [0.22, 0.2, 0.3, 0.1]}, impulse=0.4)
+    table = strategy_table(pd.concat([control, pushed]))
+    assert list(table["side"]) == ["no push", "forward"]
+    assert list(table["stepping"]) == [1.0, 0.5]
+    assert list(table["hip"]) == [0.0, 0.25]  # 0.22 is more than usual, but not above the bound
+    assert list(table["ankle"]) == [0.0, 0.5]
+    assert list(table["recovered"]) == [4, 4]
+
+
+def test_of_one_that_stands_still_every_step_is_the_pushs():
+    control = trials({"steps": [0.0] * 20}, impulse=0.0)
+    pushed = trials({"steps": [0, 1, 2, 0]}, impulse=0.4)
+    table = strategy_table(pd.concat([control, pushed]))
+    assert list(table["stepping"]) == [0.0, 0.5]
+    assert list(table["ankle"]) == [1.0, 0.5]
+
+
+def test_fallen_control_trials_tell_nothing():
+    control = trials({"steps": [50, 0]}, impulse=0.0).assign(recovered=[False, True])
+    table = strategy_table(pd.concat([control, trials({"steps": [2]}, impulse=0.4)]))
+    assert list(table["stepping"]) == [0.0, 1.0]
+
+
+def test_amounts_are_the_largest_and_times_until_the_fall(make_base):
+    air = {"feet_contact": torch.zeros(1, 2, dtype=torch.bool)}
+    leaning = {
+        "feet_orientation": torch.tensor([[[1.0, 0, 0, 0], [0.9950, 0.0998, 0, 0]]])
+    }  # 0.2 rad
+    table = follow(make_base, [record(**air), record(**leaning), record(**air), record()])
+    assert table["flight_s"].item() == pytest.approx(0.08)
+    assert table["foot_tilt_rad"].item() == pytest.approx(0.2, abs=1e-3)
+    assert table["hip_rad"].item() == 0.0

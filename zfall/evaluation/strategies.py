@@ -19,6 +19,16 @@ FOOT_TILT = 0.15  # of a sole that stays on the floor [rad]
 HIP = 0.25  # of a hip's pitch or roll, away from where it was at the push [rad]
 MOMENTUM = 0.05  # angular momentum about the center of mass, in units of m h0 sqrt(g h0)
 
+# Strategy: the column that tells how much of it was used, and more than how much of it counts.
+AMOUNTS = {
+    "stepping": ("steps", 0.0),
+    "jumping": ("flight_s", 0.0),
+    "foot_tilting": ("foot_tilt_rad", FOOT_TILT),
+    "hip": ("hip_rad", HIP),
+    "angular_momentum": ("angular_momentum", MOMENTUM),
+}
+USUAL = 0.95  # quantile of the control trials: what more than so many do with no push is its effect
+
 
 class Footsteps:
     """Sees feet come down at least 2 cm from where they had left the floor.
@@ -49,11 +59,13 @@ class Strategies:
     the push until the center of mass moves below 0.1 m/s for good; NaN if the robot fell or still
     moved at the end.
 
-    Strategies, each true or false, several at once: ``stepping``: at least one step. ``jumping``:
-    no foot on the floor at the end of a control step. ``foot_tilting``: a sole on the floor
-    leans by more than 0.15 rad. ``hip``: pitch or roll of a hip goes 0.25 rad away from its angle
-    at the push. ``angular_momentum``: that of the body about its center of mass exceeds 0.05 m h0
-    sqrt(g h0). ``ankle``: none of the others, the center of pressure alone. The bounds are ours.
+    Amounts: ``flight_s`` [s]: control steps at whose end no foot touches the floor. Largest
+    values: ``foot_tilt_rad``, the lean of a sole on the floor; ``hip_rad``, how far pitch or roll
+    of a hip is from its angle at the push; ``angular_momentum`` of the body about its center of
+    mass, in units of m h0 sqrt(g h0).
+
+    Strategies, each true or false, several at once: an amount above its bound in ``AMOUNTS``.
+    ``ankle``: none of the others, the center of pressure alone. The bounds are ours.
 
     Source: names of Duburcq et al., "Reactive stepping for humanoid robots using reinforcement
     learning", IROS 2022, table I, which judges by eye.
@@ -67,15 +79,15 @@ class Strategies:
     def __init__(self, env: HumanoidEnv):
         n, robot = env.num_envs, env.robot
         self.hips = [i for i, name in enumerate(robot.joints) if _bends_at_the_hip(name)]
-        unit = robot.mass * robot.com_height * (GRAVITY * robot.com_height) ** 0.5
-        self.momentum = MOMENTUM * unit
-        self.steps = torch.zeros(n, dtype=torch.long)
+        self.unit = robot.mass * robot.com_height * (GRAVITY * robot.com_height) ** 0.5
+        self.control_dt = env.control_dt
         self.displacement = torch.zeros(n)
         self.last_motion = torch.zeros(n)
         self.still = torch.zeros(n, dtype=torch.bool)
         self.seen = torch.zeros(n, dtype=torch.bool)
-        flags = ("stepping", "jumping", "foot_tilting", "hip", "angular_momentum")
-        self.flags = {name: torch.zeros(n, dtype=torch.bool) for name in flags}
+        self.steps = torch.zeros(n, dtype=torch.long)
+        self.flights = torch.zeros(n, dtype=torch.long)  # control steps
+        self.largest = {name: torch.zeros(n) for name in ("foot_tilt", "hip", "momentum")}
         self._com, self._hip = torch.zeros(n, 2), torch.zeros(n, len(self.hips))  # at the push
         self._feet = Footsteps(n)
 
@@ -91,54 +103,74 @@ class Strategies:
         hip, landed = td["joint_position"][:, self.hips], self._feet.update(td)
         self.seen |= counted
         self.steps += torch.where(counted, landed.sum(-1), 0)
+        self.flights += counted & ~contact.any(-1)
         away = (com - self._com).norm(dim=-1)
         self.displacement = torch.where(counted, away, self.displacement)
         moving = td["com_velocity"].norm(dim=-1) > CALM
         self.last_motion = torch.where(moving & counted, since_push, self.last_motion)
         self.still = torch.where(counted, ~moving, self.still)
-        leaning = contact & (tilt(td["feet_orientation"]) > FOOT_TILT)
-        used = {
-            "stepping": landed.any(-1),
-            "jumping": ~contact.any(-1),
-            "foot_tilting": leaning.any(-1),
-            "hip": ((hip - self._hip).abs() > HIP).any(-1),
-            "angular_momentum": td["angular_momentum"].norm(dim=-1) > self.momentum,
+        now_used = {
+            "foot_tilt": (tilt(td["feet_orientation"]) * contact).amax(-1),
+            "hip": (hip - self._hip).abs().amax(-1),
+            "momentum": td["angular_momentum"].norm(dim=-1) / self.unit,
         }
-        for name, value in used.items():
-            self.flags[name] |= value & counted
+        for name, value in now_used.items():
+            largest = self.largest[name]
+            self.largest[name] = torch.where(counted, torch.maximum(largest, value), largest)
 
     def table(self, ended: Ended) -> dict[str, Tensor]:
         """Columns ``(N,)``."""
         came_to_rest = self.seen & self.still & ~ended.fell
-        others = torch.stack(list(self.flags.values())).any(0)
+        amounts = {
+            "steps": self.steps,
+            "flight_s": self.flights * self.control_dt,
+            "foot_tilt_rad": self.largest["foot_tilt"],
+            "hip_rad": self.largest["hip"],
+            "angular_momentum": self.largest["momentum"],
+        }
+        used = {name: amounts[column] > bound for name, (column, bound) in AMOUNTS.items()}
         return {
             "recovery_time_s": torch.where(came_to_rest, self.last_motion, torch.nan),
-            "steps": self.steps,
             "displacement": torch.where(self.seen, self.displacement, torch.nan),
-            "strategy/ankle": self.seen & ~others,
-            **{f"strategy/{name}": value for name, value in self.flags.items()},
+            **amounts,
+            "strategy/ankle": self.seen & ~torch.stack(list(used.values())).any(0),
+            **{f"strategy/{name}": value for name, value in used.items()},
         }
 
 
 def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
-    """Share of recovered trials in which each strategy was seen, by side and size of the push.
+    """Share of recovered trials in which the push caused a strategy, by its side and size.
+
+    A strategy counts if its amount is above the bound of ``AMOUNTS`` and above what 95 % of the
+    control trials, which are as long and have no push, did not exceed. So a policy that steps all
+    the time is seen to step only where it takes more steps than it does by itself.
 
     Rows: ``side`` (a quarter of the directions: forward, left, backward, right), ``impulse``,
-    ``recovered``, the number of trials counted; then a share for each strategy.
+    ``recovered``, the number of trials counted; then a share for each strategy. The first row is
+    that of the control trials by the bounds alone, its ``side`` is "no push". Without columns of
+    ``Strategies``, as in a battery with other measures, no strategy is shown.
     """
-    counted = trials[trials["recovered"] & (trials["impulse"] > 0)]
+    amounts = {name: a for name, a in AMOUNTS.items() if a[0] in trials}
+    names = ["ankle", *amounts] if amounts else []
+    control = trials[trials["recovered"] & (trials["impulse"] == 0)]
+    counted = trials[trials["recovered"] & (trials["impulse"] > 0)].copy()
+    for name, (column, bound) in amounts.items():
+        usual = control[column].quantile(USUAL, interpolation="higher") if len(control) else bound
+        counted[name] = counted[column] > max(bound, usual)
+    counted["ankle"] = ~counted[list(amounts)].any(axis=1)
     sides = np.array(["forward", "left", "backward", "right"])
     quarter = np.round(counted["direction_rad"].to_numpy() / (np.pi / 2) - 1e-9).astype(int) % 4
-    names = [str(name) for name in trials if str(name).startswith("strategy/")]
     groups = counted.assign(side=sides[quarter]).groupby(["side", "impulse"], sort=False)
-    table = groups[names].mean().rename(columns=lambda name: name.removeprefix("strategy/"))
+    table = groups[names].mean()
     table.insert(0, "recovered", groups.size())
+    alone = control[[f"strategy/{name}" for name in names]].mean()
+    alone = alone.rename(lambda name: str(name).removeprefix("strategy/"))
+    first = pd.DataFrame([{"side": "no push", "impulse": 0.0, "recovered": len(control), **alone}])
     order = {side: place for place, side in enumerate(sides)}
-    return table.reset_index().sort_values(
-        ["side", "impulse"],
-        key=lambda column: column.map(lambda x: order.get(x, x)),
-        ignore_index=True,
+    pushed = table.reset_index().sort_values(
+        ["side", "impulse"], key=lambda column: column.map(lambda x: order.get(x, x))
     )
+    return pd.concat([first, pushed] if len(control) else [pushed], ignore_index=True)
 
 
 def _bends_at_the_hip(joint: str) -> bool:
