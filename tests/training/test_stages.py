@@ -100,6 +100,14 @@ def test_stages_that_cannot_be_are_refused_before_the_first(given, says, tmp_pat
     assert not folder.exists()
 
 
+def test_a_stage_that_is_null_is_left_out():
+    cfg = OmegaConf.create({**BASE, "stages": {"one": {}, "two": None, "three": {"seed": 5}}})
+    one, three = stages_of(cfg)
+    assert (one.name, three.name, three.number, three.begins_with) == ("one", "three", 2, "one")
+    with pytest.raises(ValueError, match=r"stages.*null.*one, two"):
+        stages_of(OmegaConf.create({**BASE, "stages": {"one": None, "two": None}}))
+
+
 @pytest.mark.parametrize("name", ["../a", "a.b", "best", "", 3])
 def test_a_name_is_one_of_a_file(name):
     with pytest.raises(ValueError, match="stages must have names of letters, digits and _"):

@@ -51,10 +51,10 @@ def stages_of(cfg: DictConfig) -> list[Stage]:
     Each is the config with the stage's values in place of its own. A stage begins with the weights
     of the one before it, or as its ``warm_start`` says: with those of another one before it,
     ``stage:NAME``, of a run or policy, or with none (``null``). Wherever else a policy is named,
-    ``stage:NAME`` is what a stage before it came to.
+    ``stage:NAME`` is what a stage before it came to. A stage that is null is left out.
 
     Raises:
-        ValueError: on a stage that is no table, a name that it cannot have, or a key that is that
+        ValueError: on a stage that is neither a table nor null, a name that it cannot have, or a key that is that
             of the whole run.
     """
     if not cfg.get("stages"):
@@ -66,6 +66,8 @@ def stages_of(cfg: DictConfig) -> list[Stage]:
     before: dict[str, Stage] = {}
     for name, changes in stages.items():
         _check(name, changes)
+        if changes is None:
+            continue
         merged = {**_changed(base, changes), "stages": {}}
         start = changes.get("warm_start", _LINK + made[-1].name if made else cfg.warm_start)
         _check_links({**merged, "warm_start": start}, before, f"stages.{name}")
@@ -75,6 +77,8 @@ def stages_of(cfg: DictConfig) -> list[Stage]:
         keeps = linked is not None and linked.config.actor.get("std") == config.actor.get("std")
         made.append(Stage(name, len(made) + 1, config, linked.name if linked else None, keeps))
         before[name] = made[-1]
+    if not made:
+        raise ValueError(f"stages must hold a table, got null for {', '.join(stages)}.")
     return made
 
 
@@ -190,8 +194,12 @@ def _check(name: Any, changes: Any) -> None:
             f"stages must have names of letters, digits and _, not {' or '.join(_TAKEN)}, "
             f"got {name!r}."
         )
+    if changes is None:
+        return
     if not isinstance(changes, Mapping):
-        raise ValueError(f"stages.{name} must be a table of what it changes, got {changes}.")
+        raise ValueError(
+            f"stages.{name} must be a table of what it changes, or null, got {changes}."
+        )
     own = [key for key in TrainKeys.__annotations__ if key not in OF_THE_RUN]
     for key in changes:
         if key not in own:
