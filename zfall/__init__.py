@@ -10,7 +10,7 @@ import gymnasium
 
 from zfall.configs import options_of
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 
 
 def _spin_briefly() -> None:
