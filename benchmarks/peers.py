@@ -5,7 +5,6 @@ same actions around the standing pose, and starts anew when the robot falls. gym
 dm_control face's do the whole task of ``push_recovery``; TorchRL's does the simplest one.
 """
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -25,6 +24,7 @@ from torchrl.envs.custom.mujoco import MujocoEnv as TorchrlMujocoEnv
 
 from benchmarks.gymnasium_peer import SCALE, SUBSTEPS, GymnasiumPeer
 from zfall.configs import compose_config
+from zfall.cores import usable_cores
 from zfall.envs.dm_task import load
 from zfall.robots import ZEROTH01
 
@@ -44,7 +44,7 @@ def measure_peers(
         seconds: of measurement for each number of workers.
         report: is called with the name before each peer starts.
     """
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     peers = {
         "parallel_env_dm_control": run_parallel_env_dm_control,
         "torchrl_mujoco_env": run_torchrl_mujoco_env,

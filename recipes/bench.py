@@ -1,7 +1,6 @@
 """Speed against the bare physics and against peers, in one run: ``python -m recipes.bench``."""
 
 import json
-import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -12,6 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from zfall.configs import compose_config, config_folder
+from zfall.cores import usable_cores
 from zfall.errors import SPOKEN
 from zfall.values import Count, Name, Positive, Seed
 
@@ -59,7 +59,7 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     write_config(cfg, HydraConfig.get().overrides.task, folder)
     (folder / "bench.json").write_text(json.dumps(results, indent=2))
-    out = Table(title=f"{cfg.num_envs} worlds, {len(os.sched_getaffinity(0))} cores")
+    out = Table(title=f"{cfg.num_envs} worlds, {usable_cores()} cores")
     out.add_column("figure")
     out.add_column("value", justify="right")
     for key, value in results.items():

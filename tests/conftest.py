@@ -17,7 +17,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
 
 worker = os.environ.get("PYTEST_XDIST_WORKER")  # one of several processes: a core for each
-if worker is not None:
+if worker is not None and hasattr(os, "sched_setaffinity"):
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a script

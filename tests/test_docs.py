@@ -26,7 +26,8 @@ ROOT = Path(__file__).parents[1]
 GUIDE = sorted((ROOT / "docs" / "guide").glob("*.md"))
 REFERENCE = ROOT / "docs" / "reference"
 CARDS = ROOT / "zfall" / "policies"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(CARDS.glob("*.md"))]
+TOP = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+PAGES = [*TOP, *sorted((ROOT / "docs").rglob("*.md")), *sorted(CARDS.glob("*.md"))]
 OF_TRANSFORMS = {"transforms.md": "zfall.envs.transforms.", "falling.md": "zfall.falling."}
 CODE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 

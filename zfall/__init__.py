@@ -10,7 +10,7 @@ import gymnasium
 
 from zfall.configs import options_of
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 
 
 def _spin_briefly() -> None:
@@ -43,9 +43,13 @@ def _choose_gl() -> None:
     """Picks an OpenGL without a screen for MuJoCo, which looks for one when it is imported.
 
     A value that MuJoCo does not know is put aside: what needs no pictures works without, and what
-    does says so, see ``zfall.envs.rendering``.
+    does says so, see ``zfall.envs.rendering``. EGL and OSMesa are of Linux alone: elsewhere their
+    names are dropped, and MuJoCo takes what its system has.
     """
     given = os.environ.get("MUJOCO_GL", "")
+    if sys.platform != "linux" and given.lower().strip() in ("egl", "osmesa"):
+        del os.environ["MUJOCO_GL"]
+        return
     if given.lower().strip() not in (*_GL, "osmesa", "true"):
         os.environ |= {"MUJOCO_GL": "disable", "ZFALL_REFUSED_GL": given}
     if sys.platform != "linux" or os.environ.get("DISPLAY") or "MUJOCO_GL" in os.environ:

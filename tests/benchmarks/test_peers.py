@@ -17,7 +17,7 @@ def test_best_number_of_workers_is_what_counts(monkeypatch):
         run_one = lambda actions, seconds, speed=speed: 100.0 + speed * actions.shape[1]  # noqa: E731
         monkeypatch.setattr(peers, f"run_{name}", run_one)
     monkeypatch.setattr(peers, "run_gymnasium_async", lambda actions, seconds: 7.0)
-    monkeypatch.setattr(peers.os, "sched_getaffinity", lambda pid: range(2))
+    monkeypatch.setattr(peers, "usable_cores", lambda: 2)
     named = []
     speeds = peers.measure_peers(torch.zeros(4, 16, 20), 0.1, named.append)
     assert speeds == {

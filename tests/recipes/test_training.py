@@ -1,11 +1,10 @@
 """Real training: minutes each, run with ``make slow-test``."""
 
-import os
-
 import pandas as pd
 import pytest
 import torch
 
+from zfall.cores import usable_cores
 from zfall.evaluation.battery import run_battery
 from zfall.evaluation.definitions import load_battery
 from zfall.training.learner import Learner
@@ -22,7 +21,7 @@ def success(trials: pd.DataFrame) -> float:
 @pytest.mark.parametrize("actor", FRAMES)
 def test_policy_learns_to_withstand_pushes_that_fell_the_held_pose(compose_config, actor):
     """Success at I = 0.4 over 12 directions x 5 starts, against servos that hold the pose."""
-    torch.set_num_threads(len(os.sched_getaffinity(0)))  # all cores, as in a run
+    torch.set_num_threads(usable_cores())  # all cores, as in a run
     cfg = compose_config(f"actor={actor}")
     battery = load_battery("planar", impulses=[0.4], starts=5)
     baseline = success(run_battery(battery, cfg.env, None))

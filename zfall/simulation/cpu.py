@@ -1,7 +1,6 @@
 """The only place that steps MuJoCo: a batch of worlds on the CPU."""
 
 import copy
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zfall.cores import usable_cores
 from zfall.simulation.compiled import sound
 from zfall.simulation.forks import begin_again_in_forks
 from zfall.simulation.turns import others_turn
@@ -53,7 +53,7 @@ class Simulation:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, or null for all cores, got {threads}.")
         self.model, self.num_worlds, self.substeps = model, num_worlds, substeps
-        self.threads = threads or len(os.sched_getaffinity(0))
+        self.threads = threads or usable_cores()
         self._stepped: NDArray[np.int32] | None = None  # the worlds that step; None: all
         self._fields: dict[str, NDArray[np.float64]] = {}  # that differ by world (N, ...)
         size = mujoco.mj_stateSize(model, _STATE)

@@ -1,6 +1,5 @@
 """How fast the bare physics, an env and a training are, in control steps per second."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.configs import compose_config
+from zfall.cores import usable_cores
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.simulation.turns import in_turns, physics_first
 from zfall.training.collection import Worlds
@@ -62,14 +62,14 @@ def bare_physics(base: HumanoidEnv, states: Tensor, controls: Tensor, seconds: f
         data.ctrl[:] = control_rows[index]
         mujoco.mj_step(model, data, nstep=base.substeps)
         done += 1
-    return len(os.sched_getaffinity(0)) * done / (time.perf_counter() - began)
+    return usable_cores() * done / (time.perf_counter() - began)
 
 
 def bare_physics_together(
     base: HumanoidEnv, states: Tensor, controls: Tensor, seconds: float
 ) -> float:
     """As ``bare_physics``, but measured on all cores at once, which share caches and clock."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     with ThreadPoolExecutor(cores) as pool:
         runs = [pool.submit(bare_physics, base, states, controls, seconds) for _ in range(cores)]
     return sum(done.result() for done in runs) / cores
