@@ -32,10 +32,14 @@ def capture_point(td: TensorDictBase, next_td: TensorDictBase, *, sigma: Positiv
     Source: Koolen et al., "Capturability-based analysis and control of legged locomotion,
     Part 1", IJRR 2012, doi:10.1177/0278364912452673.
     """
-    lean = next_td["com_position"] - next_td["feet_position"].mean(-2)
+    return torch.exp(-capture_point_offset(next_td).square().sum(-1, keepdim=True) / sigma**2)
+
+
+def capture_point_offset(td: TensorDictBase) -> Tensor:
+    """The capture point from the mean position of the feet ``(*B, 2)`` [m; world], see above."""
+    lean = td["com_position"] - td["feet_position"].mean(-2)
     fall_time = (lean[..., 2:].clamp_min(0.0) / GRAVITY).sqrt()  # [s]
-    xi = lean[..., :2] + next_td["com_velocity"][..., :2] * fall_time
-    return torch.exp(-xi.square().sum(-1, keepdim=True) / sigma**2)
+    return lean[..., :2] + td["com_velocity"][..., :2] * fall_time
 
 
 def vertical_com_speed(

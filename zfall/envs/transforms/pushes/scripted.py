@@ -86,6 +86,19 @@ class ScriptedPush(Transform):
         never = torch.full((num, events), torch.inf, dtype=torch.float64)
         self.register_buffer("start", never)  # of each push [s from now]
 
+    def begin(self, rows: Tensor, event: int, force: Tensor, duration: float) -> None:
+        """Begins a push with the coming control step, whatever was planned.
+
+        Args:
+            rows: worlds that are pushed ``(N,)`` bool.
+            event: which of the E pushes it takes the place of; it acts at that one's point.
+            force: peak force ``(3,)`` [N; world].
+            duration: [s].
+        """
+        self.plan[rows, event] = force.to(self.plan)
+        self.duration[rows, event] = duration
+        self.start[rows, event] = 0.0
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         self.forces.apply(
             base_env_of(self), tensordict, self.start, self.duration, self.plan, self.index

@@ -1,0 +1,90 @@
+"""The page in a real browser: it loads, its controls act, and it is quick enough."""
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+pytest.importorskip("viser", reason="the extra [view] is not installed")
+
+from zfall.viewer.casting import Casting
+from zfall.viewer.viewer import Viewer
+
+api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+FLAGS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+
+
+@pytest.fixture
+def viewer():
+    view = Viewer(Casting(worlds=4), "twin", "pose_hold", port=0)
+    thread = threading.Thread(target=view.run, daemon=True)
+    thread.start()
+    yield view
+    view.stop()
+    thread.join(30)
+    view.close()
+
+
+def wait_for(true: Callable[[], object], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not come about in time"
+        time.sleep(0.02)
+
+
+@needs_chromium
+def test_the_page_pushes_and_swaps(viewer):
+    """A button's push of I = 2 fells held servos; another policy takes over while all runs."""
+    wrong = []
+    with api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+        page.goto(f"http://127.0.0.1:{viewer.port}", timeout=120_000)
+        button = page.get_by_role("button", name="push", exact=True)
+        button.wait_for(timeout=120_000)
+        held = viewer.robots[2].player
+        assert not held.fell.any()
+        viewer.controls.size.value = 2.0
+        button.click(timeout=120_000)
+        wait_for(lambda: viewer.robots[2].view.pushed)
+        wait_for(held.fell.all)
+        viewer.controls.run.value = "best"
+        wait_for(lambda: viewer.robots[0].label == "best 1", 120)
+        before = viewer.robots[0].player.time
+        wait_for(lambda: viewer.robots[0].player.time > before)
+        browser.close()
+    # Fonts from elsewhere are missed without the net, and nothing depends on them.
+    assert [text for text in wrong if "ERR_NAME_NOT_RESOLVED" not in text] == []
+
+
+def test_four_worlds_leave_time_for_25_frames_a_second(viewer):
+    """By processor time: a busy machine has the same capacity, and less of it to give."""
+    wait_for(lambda: viewer.frames > 10)
+    viewer.frames, viewer.busy = 0, 0.0
+    wait_for(lambda: viewer.frames > 100)
+    assert viewer.frames / viewer.busy >= 25
+
+
+def test_a_name_that_is_none_leaves_the_others_running(viewer):
+    viewer._ask(lambda: viewer._choose("nowhere", "nobody"))
+    wait_for(lambda: "there is no folder nowhere" in viewer.controls.status.content)
+    assert viewer.robots[0].label == "twin 1"

@@ -1,0 +1,1 @@
+"""Robots in the browser, live: pushed, paused and swapped by hand (``recipes.view``)."""
