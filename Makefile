@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 export RL_LOGGING_LEVEL ?= WARNING
 
-.PHONY: setup train test slow-test lint bench clean
+.PHONY: setup train test slow-test lint bench playground clean
 
 setup: $(READY)
 
@@ -33,6 +33,9 @@ lint: $(READY)
 
 bench: $(READY)
 	$(RUN) -m recipes.bench $(ARGS)
+
+playground: $(READY)
+	$(RUN) -m recipes.playground out=build/playground $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

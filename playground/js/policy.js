@@ -22,10 +22,10 @@ export class Policy {
   }
 
   async act(observation) {
-    const shape = [1, observation.length];
-    const inputs = { observation: new this.ort.Tensor("float32", observation, shape), ...this.memories };
-    const out = await this.session.run(inputs);
-    for (const name of Object.keys(this.memories)) this.memories[name] = out[`next_${name}`];
+    const { memories } = this; // others after a reset meanwhile
+    const input = new this.ort.Tensor("float32", observation, [1, observation.length]);
+    const out = await this.session.run({ observation: input, ...memories });
+    for (const name of Object.keys(memories)) memories[name] = out[`next_${name}`];
     return out.action.data;
   }
 }

@@ -5,15 +5,22 @@ import { NOMINAL } from "./world.js";
 export class Script {
   // stop: called before, go: after a run.
   constructor(world, policy, { stop, go }) {
-    Object.assign(this, { world, policy, stop, go });
+    Object.assign(this, { world, policy, stop, go, last: Promise.resolve() });
   }
 
-  // Runs one trial from a reset and tells how it ended.
+  // Runs a trial once those before are over, and tells how it ended.
+  run(trial) {
+    const result = this.last.then(() => this._run(trial));
+    this.last = result.catch(() => null);
+    return result;
+  }
+
+  // From a reset:
   //   seconds: its length; angles: of the joints at the start [rad], the reference pose without;
   //   pushes: of World.push, start counted from the reset [s]; twin: what differs from NOMINAL;
   //   record: whether qpos after every control step is wanted.
   // Gives {fell, recovered, fall_time_s, seconds of the clock, states}.
-  async run({ seconds = 7, angles = null, pushes = [], twin = {}, record = false } = {}) {
+  async _run({ seconds = 7, angles = null, pushes = [], twin = {}, record = false } = {}) {
     const { world, policy } = this;
     const begun = performance.now();
     await this.stop();

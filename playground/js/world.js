@@ -2,6 +2,8 @@
 // Knows no page: it runs in node as well.
 import { Pushes } from "./pushes.js";
 
+const KEPT = 1000; // control steps whose targets are kept for late commands, at least
+
 export const NOMINAL = { latency: 0, torque: 1, friction: null }; // [s], factor, of the feet
 
 const float32 = Math.fround;
@@ -77,6 +79,7 @@ export class World {
     mujoco.mj_forward(model, data);
     this.start = at.qpos.map((place) => float32(data.qpos[place])); // commands before the first
     this.commands = []; // targets of the control steps
+    this.forgotten = 0; // of them, from the first
     this.target = this.reference;
     this.action = this.reference.map(() => 0);
     this.pushes = new Pushes(this.dt, this.substeps);
@@ -106,14 +109,16 @@ export class World {
       return Math.min(Math.max(target, float32(about.low_rad[j])), float32(about.high_rad[j]));
     });
     this.commands.push(this.target);
+    if (this.commands.length > 2 * KEPT) this.forgotten += this.commands.splice(0, KEPT).length;
     this.data.qacc_warmstart.fill(0); // as in Python: a step depends on the state alone
   }
 
   // One step of the physics.
   advance() {
     const { mujoco, model, data } = this;
-    const step = (this.commands.length - 1) * this.substeps + this.substep - this.lag;
-    const command = step < 0 ? this.start : this.commands[Math.floor(step / this.substeps)];
+    const newest = this.forgotten + this.commands.length - 1;
+    const step = Math.floor((newest * this.substeps + this.substep - this.lag) / this.substeps);
+    const command = step < 0 ? this.start : this.commands[step - this.forgotten];
     this.at.ctrl.forEach((actuator, j) => (data.ctrl[actuator] = command[j]));
     data.xfrc_applied.fill(0);
     for (const { body, force, arm } of this.pushes.acting(this.substep)) {
