@@ -6,7 +6,7 @@ import { Scene } from "./scene.js";
 import { Script } from "./script.js";
 import { NOMINAL } from "./world.js";
 
-const TWIN = { latency: 0.03, torque: 0.7, friction: 0.3 }; // of the switches [s], factor, of the feet
+const TWIN = { latency: 0.028, torque: 0.7, friction: 0.3 }; // of the switches [s], factor, of the feet
 const SIDES = [ // names, and where a push from there goes to [turns to the left of ahead]
   ["front left", 0.625], ["front", 0.5], ["front right", 0.375],
   ["left", 0.75], null, ["right", 0.25],

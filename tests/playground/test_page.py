@@ -10,7 +10,7 @@ from zfall.evaluation.candidate import load_candidate
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.plans import plan_trials
 
-LATE, WEAK, SLIPPERY = 0.03, 0.7, 0.3  # of the page's switches
+LATE, WEAK, SLIPPERY = 0.028, 0.7, 0.3  # of the page's switches
 HARDER = {  # the same in Python
     "_target_": "zfall.envs.transforms.randomization.DomainRandomization",
     "params": {
