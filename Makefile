@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 export RL_LOGGING_LEVEL ?= WARNING
 export NO_MKDOCS_2_WARNING ?= 1
 
-.PHONY: setup train test slow-test lint docs bench clean
+.PHONY: setup train test slow-test lint docs bench playground clean
 
 setup: $(READY)
 
@@ -39,6 +39,9 @@ docs: $(READY)
 
 bench: $(READY)
 	$(RUN) -m recipes.bench $(ARGS)
+
+playground: $(READY)
+	$(RUN) -m recipes.playground out=build/playground $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -28,7 +28,32 @@ def compile_model(
     servos: Mapping[str, Servo] | None = None,
     powered: bool = True,
 ) -> mujoco.MjModel:
-    """Compiles the robot's MJCF with a massless body welded to each push point.
+    """Compiles ``model_spec``.
+
+    Args:
+        robot, physics_dt, push_points, ball, servos: see ``model_spec``.
+        powered: whether the servos act at all; without power the robot is limp.
+
+    Raises:
+        ValueError: as ``model_spec``.
+    """
+    model = model_spec(
+        robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos
+    ).compile()
+    if not powered:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    return model
+
+
+def model_spec(
+    robot: Robot,
+    *,
+    physics_dt: float,
+    push_points: dict[str, PushPoint] | None = None,
+    ball: Ball | None = None,
+    servos: Mapping[str, Servo] | None = None,
+) -> mujoco.MjSpec:
+    """The robot's MJCF with a massless body welded to each push point.
 
     MuJoCo applies forces at the center of mass of a body. A body without mass that is fixed to
     a link at an offset makes a force there exact at every physics step, the torque included,
@@ -40,7 +65,6 @@ def compile_model(
         push_points: points in addition to those of the robot, by name.
         ball: a free ball next to the robot, parked out of reach.
         servos: by joint, in place of the MJCF's actuators; those as they are if ``None``.
-        powered: whether the servos act at all; without power the robot is limp.
 
     Raises:
         ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, a
@@ -62,10 +86,7 @@ def compile_model(
         body.explicitinertial, body.mass, body.ipos = True, 0.0, [0.0, 0.0, 0.0]
     if ball is not None:
         _add_ball(spec, ball)
-    model = spec.compile()
-    if not powered:
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    return model
+    return spec
 
 
 def physics_steps(control_dt: float, physics_dt: float) -> int:

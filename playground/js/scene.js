@@ -1,0 +1,167 @@
+// Draws the model's primitives with three.js.
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.js";
+
+const PLANE = 0, SPHERE = 2, CAPSULE = 3, BOX = 6; // of mjtGeom
+const VISIBLE = 2; // groups of geoms below this are drawn
+
+export class Scene {
+  constructor(place, world) {
+    Object.assign(this, { place, world });
+    this.renderer = new THREE.WebGLRenderer({ antialias: true });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.canvas = this.renderer.domElement;
+    place.prepend(this.canvas);
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color("#dfe7ef");
+    this.scene.fog = new THREE.Fog("#dfe7ef", 3, 9);
+    this.camera = new THREE.PerspectiveCamera(32, 1, 0.05, 30);
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(1.05, -0.85, 0.52);
+    this.controls = new OrbitControls(this.camera, this.canvas);
+    Object.assign(this.controls, { enablePan: false, minDistance: 0.5, maxDistance: 4, maxPolarAngle: 1.5 });
+    this.controls.target.set(0, 0, 0.22);
+    this._light();
+    this._floor();
+    this.geoms = this._robot();
+    this._face();
+    this.arrow = this._arrow();
+    new ResizeObserver(() => this._fit()).observe(place);
+    this._fit();
+  }
+
+  draw() {
+    const { geom_xpos: at, geom_xmat: turn, qpos } = this.world.data;
+    for (const { mesh, geom } of this.geoms) {
+      const m = turn.subarray(9 * geom, 9 * geom + 9), p = at.subarray(3 * geom, 3 * geom + 3);
+      mesh.matrix.set(m[0], m[1], m[2], p[0], m[3], m[4], m[5], p[1], m[6], m[7], m[8], p[2], 0, 0, 0, 1);
+    }
+    const step = new THREE.Vector3(qpos[0], qpos[1], 0.22).sub(this.controls.target).multiplyScalar(0.05);
+    this.controls.target.add(step);
+    this.camera.position.add(step);
+    this.sun.position.set(qpos[0] + 0.6, qpos[1] - 0.8, 2.2);
+    this.sun.target.position.set(qpos[0], qpos[1], 0);
+    this.controls.update();
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  // The body and the place under a point of the canvas [px], or null.
+  pick(x, y) {
+    const ray = new THREE.Raycaster();
+    const [w, h] = [this.canvas.clientWidth, this.canvas.clientHeight];
+    ray.setFromCamera(new THREE.Vector2((2 * x) / w - 1, 1 - (2 * y) / h), this.camera);
+    this.scene.updateMatrixWorld();
+    const [hit] = ray.intersectObjects(this.geoms.map(({ mesh }) => mesh));
+    return hit ? { body: hit.object.userData.body, place: hit.point.toArray() } : null;
+  }
+
+  // Level direction of the world for a move on the screen [px]: up is away from the viewer.
+  level(dx, dy) {
+    const ahead = new THREE.Vector3();
+    this.camera.getWorldDirection(ahead).setZ(0).normalize();
+    const right = new THREE.Vector3(ahead.y, -ahead.x, 0);
+    return right.multiplyScalar(dx).addScaledVector(ahead, -dy).normalize().toArray();
+  }
+
+  // An arrow that ends at a place and shows a push of dimensionless size; none without a push.
+  show(push) {
+    this.arrow.visible = Boolean(push);
+    if (!push) return;
+    const along = new THREE.Vector3(...push.direction);
+    this.arrow.position.set(...push.place).addScaledVector(along, -0.02);
+    this.arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along);
+    this.arrow.children[0].scale.set(1, 0.06 + 0.22 * push.impulse, 1);
+  }
+
+  // A shaft and a tip along y; the tip ends at 0, the shaft is scaled to its length.
+  _arrow() {
+    const look = new THREE.MeshBasicMaterial({ color: "#c8372d", depthTest: false, transparent: true });
+    const shaft = new THREE.Mesh(new THREE.CylinderGeometry(0.007, 0.007, 1).translate(0, -0.5, 0), look);
+    const tip = new THREE.Mesh(new THREE.ConeGeometry(0.02, 0.045, 24).translate(0, -0.0225, 0), look);
+    shaft.position.y = -0.04;
+    const arrow = new THREE.Group().add(shaft, tip);
+    for (const part of arrow.children) part.renderOrder = 1;
+    arrow.visible = false;
+    this.scene.add(arrow);
+    return arrow;
+  }
+
+  // Eyes on a geom called head: they show where ahead is, along x.
+  _face() {
+    const { mujoco, model } = this.world;
+    const head = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM.value, "head");
+    const found = this.geoms.find(({ geom }) => geom === head);
+    if (!found) return;
+    const radius = model.geom_size[3 * head];
+    for (const side of [-1, 1]) {
+      const look = new THREE.MeshStandardMaterial({ color: "#1d2733", roughness: 0.3 });
+      const eye = new THREE.Mesh(new THREE.SphereGeometry(0.17 * radius, 20, 16), look);
+      eye.position.set(0.9, 0.36 * side, 0.12).multiplyScalar(radius);
+      found.mesh.add(eye);
+    }
+  }
+
+  _light() {
+    this.scene.add(new THREE.HemisphereLight("#ffffff", "#aab4be", 1.7));
+    this.sun = new THREE.DirectionalLight("#ffffff", 2.2);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(1024, 1024);
+    Object.assign(this.sun.shadow.camera, { left: -0.7, right: 0.7, top: 0.7, bottom: -0.7, far: 4 });
+    this.sun.shadow.radius = 4;
+    this.scene.add(this.sun, this.sun.target);
+  }
+
+  _floor() {
+    const canvas = document.createElement("canvas");
+    canvas.width = canvas.height = 128;
+    const pen = canvas.getContext("2d");
+    pen.fillStyle = "#eef2f6";
+    pen.fillRect(0, 0, 128, 128);
+    pen.fillStyle = "#e1e7ed";
+    pen.fillRect(0, 0, 64, 64);
+    pen.fillRect(64, 64, 64, 64);
+    const tiles = new THREE.CanvasTexture(canvas);
+    tiles.wrapS = tiles.wrapT = THREE.RepeatWrapping;
+    tiles.repeat.set(100, 100); // a pair of tiles is 0.2 m
+    tiles.colorSpace = THREE.SRGBColorSpace;
+    tiles.anisotropy = 8;
+    const floor = new THREE.Mesh(new THREE.PlaneGeometry(20, 20), new THREE.MeshStandardMaterial({ map: tiles, roughness: 1 }));
+    floor.receiveShadow = true;
+    this.scene.add(floor);
+  }
+
+  _robot() {
+    const { model } = this.world;
+    const geoms = [];
+    for (let geom = 0; geom < model.ngeom; geom++) {
+      if (model.geom_type[geom] === PLANE || model.geom_group[geom] >= VISIBLE) continue;
+      const [r, g, b] = model.geom_rgba.slice(4 * geom, 4 * geom + 3);
+      const color = new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace);
+      const material = new THREE.MeshStandardMaterial({ color, roughness: 0.55 });
+      const mesh = new THREE.Mesh(shape(model.geom_type[geom], model.geom_size.slice(3 * geom, 3 * geom + 3)), material);
+      Object.assign(mesh, { castShadow: true, receiveShadow: true, matrixAutoUpdate: false, frustumCulled: false });
+      mesh.userData.body = model.geom_bodyid[geom];
+      this.scene.add(mesh);
+      geoms.push({ mesh, geom });
+    }
+    return geoms;
+  }
+
+  _fit() {
+    const [w, h] = [this.place.clientWidth, this.place.clientHeight];
+    this.renderer.setSize(w, h);
+    Object.assign(this.camera, { aspect: w / h, fov: w < h ? 36 : 32 });
+    this.camera.updateProjectionMatrix();
+  }
+}
+
+function shape(type, [a, b, c]) {
+  switch (type) {
+    case SPHERE: return new THREE.SphereGeometry(a, 32, 24);
+    case CAPSULE: return new THREE.CapsuleGeometry(a, 2 * b, 12, 24).rotateX(Math.PI / 2);
+    case BOX: return new RoundedBoxGeometry(2 * a, 2 * b, 2 * c, 3, 0.25 * Math.min(a, b, c));
+  }
+  throw new Error(`The robot has a geom of type ${type}, which this page does not draw.`);
+}
