@@ -12,6 +12,7 @@ from torch import Tensor
 
 from zfall.robots import Ball, PushPoint, Robot
 from zfall.robots.servos import Servo
+from zfall.simulation.look import dress
 from zfall.simulation.quantities import needed_sensors
 from zfall.simulation.servos import put_servos
 
@@ -27,6 +28,7 @@ def compile_model(
     ball: Ball | None = None,
     servos: Mapping[str, Servo] | None = None,
     powered: bool = True,
+    look: bool = False,
 ) -> mujoco.MjModel:
     """Compiles the robot's MJCF with a massless body welded to each push point.
 
@@ -41,6 +43,7 @@ def compile_model(
         ball: a free ball next to the robot, parked out of reach.
         servos: by joint, in place of the MJCF's actuators; those as they are if ``None``.
         powered: whether the servos act at all; without power the robot is limp.
+        look: whether to add what the robot looks like, for pictures; the state stays the same.
 
     Raises:
         ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, a
@@ -62,6 +65,8 @@ def compile_model(
         body.explicitinertial, body.mass, body.ipos = True, 0.0, [0.0, 0.0, 0.0]
     if ball is not None:
         _add_ball(spec, ball)
+    if look:
+        dress(spec, robot)
     model = spec.compile()
     if not powered:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
