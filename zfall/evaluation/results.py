@@ -135,17 +135,23 @@ def _print_files(folder: Path, names: list[str], console: Console) -> None:
 
 
 def labels(names: list[str]) -> list[str]:
-    """The last folder of each name, or the whole of it if two have the same.
+    """What ``name`` of a run gave, else its last folder; the whole name if two have the same.
 
     Jobs of a sweep, whose folders have numbers, by what was given to them and not to all: seed=1.
     """
     given = {name: _given_to(Path(name)) for name in names if Path(name).name.isdigit()}
     common = set.intersection(*map(set, given.values())) if given else set()
     own = {name: ", ".join(o for o in those if o not in common) for name, those in given.items()}
-    last = [own.get(name) or Path(name).name for name in names]
+    last = [_said_of(Path(name)) or own.get(name) or Path(name).name for name in names]
     return [
         short if last.count(short) == 1 else name for short, name in zip(last, names, strict=True)
     ]
+
+
+def _said_of(folder: Path) -> str | None:
+    """The ``name`` that the shell gave to a run, if it did."""
+    named = [o.removeprefix("name=") for o in _given_to(folder) if o.startswith("name=")]
+    return named[-1] if named and named[-1] != "null" else None
 
 
 def _given_to(folder: Path) -> list[str]:
