@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +14,9 @@ from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
-from zfall.evaluation.writers import Written, write_summary, write_table
+from zfall.evaluation.plots import learning_curves
+from zfall.evaluation.run_files import read_table
+from zfall.evaluation.writers import Written, write_figures, write_summary, write_table
 from zfall.robots import Robot
 from zfall.trust import texts_of_file
 
@@ -110,6 +113,14 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
     files = write_table(folder, "comparison", paired)
     labelled = dict(zip(labels(list(results)), results.values(), strict=True))
     written = kind_of(battery).compare(labelled, folder)
+    trained = {
+        label: read_table(path)
+        for label, name in zip(labelled, results, strict=True)
+        if (path := Path(name) / "metrics.csv").exists()
+    }
+    if len(trained) > 1:
+        draw = partial(learning_curves, trained)
+        files += write_figures(folder, "learning_curves", draw)
     write_summary(folder, summaries)
     _print(written, console)
     console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
