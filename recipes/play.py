@@ -1,7 +1,7 @@
 """Lets a policy act in its task, pushes on request, and films it: ``recipes.play run=DIR``."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from zfall.commands import remove_if_empty, shown_path
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
-from zfall.values import Count, Positive, Seed
+from zfall.values import Count, FractionAboveZero, Positive, Seed
 
 from .shell import (
     Changes,
@@ -34,12 +34,15 @@ class Keys(TypedDict):
     env: NotRequired[Mapping[str, Any] | None]  # servo=NAME alone gives a part of one
     num_envs: Count
     seconds: Positive
+    pushes: Positive | Sequence[Positive] | None
     seed: Seed
     trust: Changes
     keep: Changes
     change: Changes
     servo: NotRequired[Any]
     video: bool
+    filmed: Count
+    slow: FractionAboveZero
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -58,7 +61,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.envs.tables import keep
         from zfall.evaluation.battery import BLOCK
         from zfall.evaluation.candidate import load_candidate
-        from zfall.evaluation.play import walk
+        from zfall.evaluation.play import side_pushes, walk
         from zfall.evaluation.video import film, frame
         from zfall.modules.actors import recurrent_keys
 
@@ -73,6 +76,11 @@ def main(cfg: DictConfig) -> None:
         env = instantiate(env_cfg, base_env=world, training=False)
         if not cfg.seconds >= (step := env.base_env.control_dt):
             raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")
+        if not cfg.filmed <= worlds:
+            raise ValueError(f"filmed must be at most num_envs {worlds}, got {cfg.filmed}.")
+        if cfg.pushes is not None:
+            sizes = cfg.pushes if isinstance(cfg.pushes, Sequence) else [cfg.pushes]
+            env.append_transform(side_pushes(env, list(sizes), cfg.seconds))
     gone = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
     console.print(f"of the env's transforms left out: {', '.join(gone) or 'nothing'}")
     if worlds != cfg.num_envs:
@@ -84,6 +92,7 @@ def main(cfg: DictConfig) -> None:
         env,
         actor,
         cfg.seconds,
+        filmed=cfg.filmed,
         follow=lambda steps, total: track(
             steps, "playing", total=total, console=console, transient=True
         ),
@@ -94,14 +103,26 @@ def main(cfg: DictConfig) -> None:
         json.dumps({"checkpoint": cfg.checkpoint, **played.figures}, indent=2)
     )
     written = "play.json"
-    for key, value in played.figures.items():
-        console.print(f"{key}: {value:.3g}")
+    for line in played.lines():
+        console.print(line)
     if cfg.video:
         base, rows = env.base_env, {player.label: played.states}
         columns = [f"world {i}" for i in range(played.states.shape[1])]
         path = folder / "play.mp4"
         try:
-            film(base.simulation.model, rows, columns, played.forces, path, dt=frame(base))
+            film(
+                base.camera.model,
+                rows,
+                columns,
+                played.forces,
+                path,
+                dt=frame(base),
+                slow=cfg.slow,
+                outcomes={player.label: played.outcomes},
+                follow=lambda frames, total: track(
+                    frames, "filming", total=total, console=console, transient=True
+                ),
+            )
             written += ", play.mp4"
         except RuntimeError as error:
             console.print(f"no video: {error}")

@@ -10,7 +10,7 @@ from zfall.envs.make import make_env
 from zfall.envs.tables import keep
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.play import walk
+from zfall.evaluation.play import side_pushes, walk
 
 
 def test_speed_and_distance_are_those_of_a_flight(make_base):
@@ -43,3 +43,21 @@ def test_pushes_are_there_if_they_are_kept(compose_config, kept):
     env = instantiate(keep(compose_config(*often).env, kept), training=False)
     forces = walk(env, None, 1.0).forces
     assert (forces != 0).any() == bool(kept)
+
+
+def test_pushes_come_from_the_four_sides_in_turn(make_base):
+    """I = 0.5 is 24.6 N for 0.1 s; world 0 is pushed forward first, then to the left."""
+    base = make_base(num_envs=64)
+    env = make_env(base, {"action": JointPositionTarget(base, scale=0.6)})
+    push = side_pushes(env, [0.5], 10.0)
+    assert push.time[0].tolist() == [1.0, 5.0, 9.0]
+    size = 0.5 * base.robot.mass * math.sqrt(9.81 * base.robot.com_height) / 0.1
+    expected = size * torch.tensor([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0]])
+    torch.testing.assert_close(push.plan[0], expected, atol=1e-4, rtol=0)
+    torch.testing.assert_close(push.plan[1, 0], expected[1], atol=1e-4, rtol=0)
+    first = torch.atan2(push.plan[:, 0, 1], push.plan[:, 0, 0]) % (2 * math.pi)
+    apart = first.sort().values.diff()
+    torch.testing.assert_close(apart, torch.full((63,), 2 * math.pi / 64), atol=1e-4, rtol=0)
+    env.append_transform(push)
+    with pytest.raises(ValueError, match="pushes"):
+        side_pushes(env, [0.5], 10.0)

@@ -110,3 +110,10 @@ def test_a_comparison_without_its_summary_or_with_an_empty_one_is_refused(folder
     (folder / "summary.json").write_text("{}")
     with pytest.raises(ValueError, match="summary.json must be as it was written"):
         write_report(folder)
+
+
+def test_a_page_is_named_and_gives_its_command_as_code(folder):
+    (folder / ".hydra" / "overrides.yaml").write_text("- name=steady\n- experiment=quickstart\n")
+    page = write_report(folder).read_text()
+    assert f"<h1>steady, quickstart, {folder.name}</h1>" in page
+    assert "-m recipes.train name=steady experiment=quickstart</code></pre>" in page

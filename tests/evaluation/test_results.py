@@ -22,3 +22,10 @@ def test_jobs_of_a_sweep_are_called_by_what_differs(tmp_path):
     assert labels([*names[:2], "best"]) == ["lr=1e-3", "lr=0.1", "best"]
     assert labels(names[:1]) == ["0"]
     assert labels(names)[4] == "4"
+
+
+def test_a_run_is_called_what_its_name_said(tmp_path):
+    for folder, given in (("a", "- name=steady\n"), ("b", "- seed=1\n")):
+        (tmp_path / folder / ".hydra").mkdir(parents=True)
+        (tmp_path / folder / ".hydra" / "overrides.yaml").write_text(given)
+    assert labels([str(tmp_path / "a"), str(tmp_path / "b")]) == ["steady", "b"]

@@ -1,11 +1,14 @@
 """Films, where OpenGL is to be had."""
 
+import math
+
 import imageio.v2 as imageio
 import mujoco
 import numpy as np
 import pytest
 
 from zfall.evaluation import video
+from zfall.evaluation.captions import outcome_at, push_marks
 from zfall.robots import ZEROTH01
 
 
@@ -21,7 +24,7 @@ def test_film_has_a_frame_per_step_and_shows_the_robot(tmp_path):
         assert "install" in str(error)
         pytest.skip("no OpenGL on this machine")
     frames = imageio.mimread(path)
-    assert len(frames) == 5
+    assert len(frames) == 5  # 25 each second
     assert frames[0].std() > 10
     assert np.abs(frames[4].astype(int) - frames[0]).max() > 50  # the arrow
 
@@ -33,3 +36,31 @@ def test_missing_opengl_says_what_to_install(monkeypatch):
     monkeypatch.setattr(mujoco, "Renderer", broken)
     with pytest.raises(RuntimeError, match="install: apt-get install libegl1"):
         video.make_renderer(mujoco.MjModel.from_xml_path(ZEROTH01.mjcf), 8, 8)
+
+
+def test_slow_motion_goes_halfway_between_two_states():
+    """A quarter turn about z in half of the time is an eighth of one."""
+    model = mujoco.MjModel.from_xml_path(ZEROTH01.mjcf)
+    states = np.tile(model.key("stand").qpos, (2, 1))
+    states[1, 0] += 0.1
+    states[1, 3:7] = math.cos(math.pi / 4), 0.0, 0.0, math.sin(math.pi / 4)
+    half = video.between(model, states, 0, 0.5)
+    assert half[0] == pytest.approx(states[0, 0] + 0.05)
+    assert half[3:7] == pytest.approx([math.cos(math.pi / 8), 0, 0, math.sin(math.pi / 8)])
+
+
+def test_a_push_is_named_by_its_side_and_marked_for_a_second():
+    """20 N for 0.1 s along +y are 20, 20 and 10 N in steps of 0.04 s: to the left, or forward."""
+    forces = np.zeros((50, 3))
+    forces[10:13, 1] = 20.0, 20.0, 10.0
+    marks = push_marks(forces, np.zeros(50), 0.04)
+    assert [t for t, mark in enumerate(marks) if mark] == list(range(10, 35))
+    assert marks[10].label == "20 N for 0.1 s from the right"
+    turned = push_marks(forces, np.full(50, math.pi / 2), 0.04)
+    assert turned[10].label == "20 N for 0.1 s from behind"
+
+
+def test_an_outcome_is_said_from_its_time_on():
+    said = [(1.0, "fell", False)]
+    assert outcome_at(said, 0.9) is None
+    assert outcome_at(said, 1.0) == ("fell", False)

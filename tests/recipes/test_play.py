@@ -42,6 +42,16 @@ def test_pushes_of_a_film_can_be_planned(tmp_path):
         assert json.loads((tmp_path / "play.json").read_text())["fell"] == fell
 
 
+def test_pushes_come_on_request_and_falls_are_counted(tmp_path):
+    """I = 1 fells the held pose in all directions, I = 0.05 in none."""
+    where = [f"hydra.run.dir={tmp_path}", "seconds=2.5", "video=false", "env=push_recovery"]
+    for size, fell in (("1.0", 64), ("[0.05]", 0)):
+        done = run("play", "run=pose_hold", *where, f"pushes={size}")
+        assert f"fell: {fell} of 64 worlds" in done.stdout, done.stderr
+    done = run("play", "run=pose_hold", *where, "pushes=0.4", "keep=[push]")
+    assert "error: pushes must be null" in done.stderr
+
+
 def test_a_policy_that_ships_leaves_its_figures_in_hydras_folder(tmp_path):
     done = run("play", "run=atalante", "seconds=0.2", "video=false", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr

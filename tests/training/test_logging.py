@@ -81,7 +81,7 @@ def test_a_film_goes_to_tensorboard_and_a_logger_that_cannot_says_why(tmp_path):
     board = EventAccumulator(str(tmp_path / "tb"))
     board.Reload()
     (image,) = board.Images("film")
-    assert (image.height, image.width) == (16, 24)
+    assert (image.height, image.width) == (11, 16)
     assert image.encoded_image_string.startswith(b"GIF8")
 
 

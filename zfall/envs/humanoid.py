@@ -1,6 +1,7 @@
 """The base env: named physical quantities out, servo targets and forces in."""
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -117,8 +118,7 @@ class HumanoidEnv(EnvBase):
         model = compile_model(robot, physics_dt=physics_dt, powered=powered, **parts)
         check_memory(model, num_envs, substeps)
         self.simulation = Simulation(model, num_envs, substeps, threads)
-        self.push_targets = push_targets(model)
-        self.num_bodies = model.nbody - 1
+        self.push_targets, self.num_bodies = push_targets(model), model.nbody - 1
         self.mass = float(model.body_mass.sum()) - (ball.mass if ball else 0.0)
         self.parameters = PhysicsParameters(model, robot, num_envs, servos, servo_dynamics)
         given = (model, robot.joints, servos, self.parameters.values, control_dt)
@@ -136,7 +136,9 @@ class HumanoidEnv(EnvBase):
         stand_control = self.stand_position.double()[self._to_actuators]
         self._placing = Placing(robot, model, self._read.places, stand_control)
         self._ball = BallState(model) if ball else None
-        self.camera = Camera(model)
+        self.camera = Camera(
+            partial(compile_model, robot, physics_dt=physics_dt, look=True, **parts)
+        )
         self._made_for = made_for(self)
         self._observer = Observer(self._read, self.parameters, self._ball, self.servo_dynamics)
         self.observation_spec = observation_spec(robot, num_envs, self._observer.quantities)

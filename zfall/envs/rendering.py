@@ -1,6 +1,8 @@
 """Pictures of the robot, without a screen."""
 
 import os
+from collections.abc import Callable
+from functools import cached_property
 from importlib import import_module, reload
 from typing import Any
 
@@ -43,14 +45,20 @@ class Camera:
     """Takes pictures by the MJCF's camera ``track``, with a renderer that it makes for the first.
 
     Args:
-        model: the compiled model.
+        compile_look: makes the model to show, which may look other than what is stepped but has
+            the same state; called when the first picture is taken.
     """
 
     _renderer: Any
 
-    def __init__(self, model: mujoco.MjModel):
-        self._model, self._renderer = model, None
+    def __init__(self, compile_look: Callable[[], mujoco.MjModel]):
+        self._compile_look, self._renderer = compile_look, None
         self._size = (0, 0)
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """What is shown."""
+        return self._compile_look()
 
     def picture(
         self, qpos: NDArray[np.float64], height: int = 480, width: int = 640
@@ -66,10 +74,9 @@ class Camera:
         """
         if self._size != (height, width):
             self.close()
-            self._renderer = make_renderer(self._model, width, height)
-            self._data, self._size = mujoco.MjData(self._model), (height, width)
-        self._data.qpos[:] = qpos
-        mujoco.mj_forward(self._model, self._data)
+            self._renderer = make_renderer(self.model, width, height)
+            self._data, self._size = mujoco.MjData(self.model), (height, width)
+        place(self.model, self._data, qpos)
         self._renderer.update_scene(self._data, camera="track")
         return self._renderer.render()
 
@@ -85,8 +92,15 @@ class Camera:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles make their own renderer."""
-        return {"_model": self._model}
+        return {"_compile_look": self._compile_look}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self._model, self._renderer = state["_model"], None
-        self._size = (0, 0)
+        self.__init__(state["_compile_look"])  # type: ignore[misc]
+
+
+def place(model: mujoco.MjModel, data: mujoco.MjData, qpos: NDArray[np.float64]) -> None:
+    """Puts all that a picture shows where a state ``(nq,)`` has it."""
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)  # which the camera follows
+    mujoco.mj_camlight(model, data)

@@ -1,6 +1,7 @@
 """How far a policy gets in its task, and what a film of it shows."""
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,13 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
+from zfall.envs.terms.falls import body_contact
+from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import play
-from zfall.evaluation.video import frame
+from zfall.evaluation.video import Outcomes, frame
 
-FILMED = 4  # worlds
+FIRST, APART, DURATION = 1.0, 4.0, 0.1  # when pushes begin, and their length [s]
+UNITS = {"seconds": "s", "forward_velocity": "m/s", "distance": "m"}
 
 
 @dataclass(frozen=True)
@@ -20,17 +24,60 @@ class Played:
     """What came of playing.
 
     Attributes:
-        figures: ``worlds``; ``fell``, how many of them did within the time; ``seconds``, mean time
-            that they stood or walked; ``forward_velocity`` [m/s], mean over that time of the
-            base's velocity along the way the robot faces; ``distance`` [m], mean from begin to end
-            of it, on the level.
-        states: positions of the first four worlds ``(T, 4, nq)``, in MuJoCo's order.
-        forces: of pushes on them ``(T, 4, 3)`` [N; world].
+        figures: ``worlds``; ``fell``, in how many of them a region but the feet touched the floor;
+            ``ended``, in how many the task ended without that; ``seconds``, mean time to either;
+            ``forward_velocity`` [m/s], mean over that time of the base's velocity along the way
+            the robot faces; ``distance`` [m], mean from begin to end of it, on the level.
+        states: positions of the first worlds ``(T, filmed, nq)``, in MuJoCo's order.
+        forces: of pushes on them ``(T, filmed, 3)``, means from state to state [N; world].
+        outcomes: what came of each of them.
     """
 
     figures: dict[str, float]
     states: NDArray[np.float64]
     forces: NDArray[np.float32]
+    outcomes: list[Outcomes]
+
+    def lines(self) -> list[str]:
+        """The figures in words, with units; counts are of all worlds."""
+        worlds = f"{self.figures['worlds']:.0f}"
+        counts = [f"{key}: {self.figures[key]:.0f} of {worlds} worlds" for key in ("fell", "ended")]
+        return counts + [f"{key}: {self.figures[key]:.3g} {unit}" for key, unit in UNITS.items()]
+
+
+def side_pushes(env: TransformedEnv, sizes: Sequence[float], seconds: float) -> ScriptedPush:
+    """Pushes at the torso, 4 s apart from 1 s on, each from the next side.
+
+    World 0 is pushed from behind, from the right, from the front and from the left; worlds 1 to 3
+    begin with the other sides, and later worlds lie between them.
+
+    Args:
+        env: the task, which has no push of its own.
+        sizes: impulses I of the pushes; one alone is repeated until the end.
+        seconds: length of the episode [s].
+
+    Raises:
+        ValueError: if the task pushes by itself, or no push begins in time.
+    """
+    if ("push", "force") in env.observation_spec.keys(True):
+        raise ValueError("pushes must be null where keep leaves a push of the task on.")
+    if seconds <= FIRST:
+        raise ValueError(f"seconds must be above {FIRST:g}, when a push comes, got {seconds}.")
+    base = env.base_env
+    if len(sizes) == 1:
+        sizes = list(sizes) * math.ceil((seconds - FIRST) / APART)
+    world = torch.arange(env.num_envs)[:, None]
+    begin = math.pi / 2 * (world % 4 + (world // 4) / math.ceil(env.num_envs / 4))
+    heading = begin + math.pi / 2 * torch.arange(len(sizes))
+    force = torch.tensor(sizes) * base.robot.impulse_unit / DURATION
+    level = torch.stack([heading.cos(), heading.sin(), torch.zeros_like(heading)], -1)
+    return ScriptedPush(
+        base,
+        point=["torso"] * len(sizes),
+        duration=DURATION,
+        time=[FIRST + APART * k for k in range(len(sizes))],
+        plan=force[:, None] * level,
+    )
 
 
 def walk(
@@ -38,6 +85,7 @@ def walk(
     actor: torch.nn.Module | None,
     seconds: float,
     *,
+    filmed: int = 4,
     follow: Callable[[Iterable[TensorDictBase], int], Iterable[TensorDictBase]] = (
         lambda steps, total: steps
     ),
@@ -48,19 +96,25 @@ def walk(
         env: the task, of whole blocks of 64 worlds.
         actor: the policy; ``None`` holds the reference pose.
         seconds: time to play [s].
+        filmed: of how many worlds the states are kept.
         follow: passes the steps on, given their number, as a progress bar does.
     """
     base = env.base_env
     steps, every = round(seconds / base.control_dt), round(frame(base) / base.control_dt)
     up = torch.ones(env.num_envs, dtype=torch.bool)
+    fell, fall_time = ~up, torch.full((env.num_envs,), torch.nan)
     began = last = torch.zeros(0)
     upright, ways = torch.zeros(env.num_envs), torch.zeros(env.num_envs)
     states, forces = [], []
+    recent = np.zeros((filmed, 3), np.float32)
     for step, td in enumerate(follow(play(env, actor, steps), steps)):
         place = td["base_position"][:, :2]
         if step == 0:
             began = last = place
-        up = up & ~td["terminated"][:, 0]
+        down = body_contact(td, td)[:, 0]
+        fall_time[down & ~fell] = (step + 1) * base.control_dt
+        fell = fell | down
+        up = up & ~td["terminated"][:, 0] & ~fell
         w, x, y, z = td["base_orientation"].unbind(-1)
         heading = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y.square() + z.square()))
         facing = torch.stack([heading.cos(), heading.sin()], -1)
@@ -68,15 +122,31 @@ def walk(
         ways += way * up
         upright += up
         last = torch.where(up[:, None], place, last)
-        if step % every == 0:
-            states.append(base.simulation.qpos[:FILMED].numpy().copy())
-            push = td.get(("push", "force"), torch.zeros(FILMED, 3))
-            forces.append(push[:FILMED].numpy().copy())
+        push = td.get(("push", "force"), torch.zeros(filmed, 3))
+        recent += push[:filmed].numpy() / every
+        if (step + 1) % every == 0 or step + 1 == steps:
+            states.append(base.simulation.qpos[:filmed].numpy().copy())
+            forces.append(recent)
+            recent = np.zeros((filmed, 3), np.float32)
     figures = {
         "worlds": float(env.num_envs),
-        "fell": float((~up).sum()),
+        "fell": float(fell.sum()),
+        "ended": float((~up & ~fell).sum()),
         "seconds": float(upright.mean()) * base.control_dt,
         "forward_velocity": float((ways / upright.clamp_min(1)).mean()),
         "distance": float((last - began).norm(dim=-1).mean()),
     }
-    return Played(figures, np.stack(states), np.stack(forces))
+    outcomes = [said(float(time), seconds) for time in fall_time[:filmed]]
+    return Played(figures, np.stack(states), np.stack(forces), outcomes)
+
+
+def said(fall_time: float, end: float) -> Outcomes:
+    """What a film says of a world, and from when on.
+
+    Args:
+        fall_time: when it fell [s], NaN if it did not.
+        end: of the film [s].
+    """
+    if math.isnan(fall_time):
+        return [(max(0.0, end - 1.5), "stays up", True)]
+    return [(fall_time, f"fell after {fall_time:.1f} s", False)]

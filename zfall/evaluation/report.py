@@ -38,13 +38,14 @@ LONG = 24  # rows of a table that are shown at once
 
 @dataclass
 class Section:
-    """A part of the page: paragraphs, tables (html), figures, a video, listings behind a fold."""
+    """A part of the page: paragraphs, tables (html), figures, a video, commands, listings."""
 
     title: str
     notes: list[str] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     figures: list[dict[str, Any]] = field(default_factory=list)
     video: str = ""
+    commands: list[str] = field(default_factory=list)
     listings: list[dict[str, str]] = field(default_factory=list)
 
 
@@ -77,12 +78,24 @@ def write_report(folder: Path, command: str = "") -> Path:
     page = (
         Environment(autoescape=True)
         .from_string(template)
-        .render(title=f"{folder.name}", subtitle=f"{versions}; {frames}", sections=sections)
+        .render(title=_title(folder), subtitle=f"{versions}; {frames}", sections=sections)
     )
     path = folder / "report.html"
     with written_whole(path) as new:
         new.write_text(page)
     return path
+
+
+def _title(folder: Path) -> str:
+    """The experiment and the ``name`` that the shell gave to a run, and its folder."""
+    overrides = folder / ".hydra" / "overrides.yaml"
+    given = (
+        dict(o.split("=", 1) for o in texts_of_file(overrides) if "=" in o)
+        if overrides.exists()
+        else {}
+    )
+    said = [given[key] for key in ("name", "experiment") if given.get(key, "null") != "null"]
+    return ", ".join([*said, folder.name])
 
 
 def _planar_first(battery: Path) -> tuple[bool, str]:
@@ -163,9 +176,9 @@ def _reproduction(folder: Path, command: str) -> Section:
     overrides = folder / ".hydra" / "overrides.yaml"
     if overrides.exists():
         given = shlex.join(texts_of_file(overrides))
-        out.notes.append(shell_line("train", given))
+        out.commands.append(shell_line("train", given))
     if (folder / "comparison.csv").exists():
-        out.notes += [command] if command else []
+        out.commands += [command] if command else []
         summaries = read_summary(path := folder / "summary.json")
         with reading(path):
             given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +14,9 @@ from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
-from zfall.evaluation.writers import Written, write_summary, write_table
+from zfall.evaluation.plots import learning_curves
+from zfall.evaluation.run_files import read_table
+from zfall.evaluation.writers import Written, write_figures, write_summary, write_table
 from zfall.robots import Robot
 from zfall.trust import texts_of_file
 
@@ -110,6 +113,14 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
     files = write_table(folder, "comparison", paired)
     labelled = dict(zip(labels(list(results)), results.values(), strict=True))
     written = kind_of(battery).compare(labelled, folder)
+    trained = {
+        label: read_table(path)
+        for label, name in zip(labelled, results, strict=True)
+        if (path := Path(name) / "metrics.csv").exists()
+    }
+    if len(trained) > 1:
+        draw = partial(learning_curves, trained)
+        files += write_figures(folder, "learning_curves", draw)
     write_summary(folder, summaries)
     _print(written, console)
     console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
@@ -135,17 +146,23 @@ def _print_files(folder: Path, names: list[str], console: Console) -> None:
 
 
 def labels(names: list[str]) -> list[str]:
-    """The last folder of each name, or the whole of it if two have the same.
+    """What ``name`` of a run gave, else its last folder; the whole name if two have the same.
 
     Jobs of a sweep, whose folders have numbers, by what was given to them and not to all: seed=1.
     """
     given = {name: _given_to(Path(name)) for name in names if Path(name).name.isdigit()}
     common = set.intersection(*map(set, given.values())) if given else set()
     own = {name: ", ".join(o for o in those if o not in common) for name, those in given.items()}
-    last = [own.get(name) or Path(name).name for name in names]
+    last = [_said_of(Path(name)) or own.get(name) or Path(name).name for name in names]
     return [
         short if last.count(short) == 1 else name for short, name in zip(last, names, strict=True)
     ]
+
+
+def _said_of(folder: Path) -> str | None:
+    """The ``name`` that the shell gave to a run, if it did."""
+    named = [o.removeprefix("name=") for o in _given_to(folder) if o.startswith("name=")]
+    return named[-1] if named and named[-1] != "null" else None
 
 
 def _given_to(folder: Path) -> list[str]:

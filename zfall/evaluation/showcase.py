@@ -1,27 +1,31 @@
 """What a training run shows at its end: a short battery, plots and a film."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from omegaconf import DictConfig
 from rich.console import Console
 from torch import Tensor
 
 from zfall.commands import shell_line, shown_path
 from zfall.envs.tables import robot_of
+from zfall.envs.terms.falls import body_contact
 from zfall.evaluation.baselines import passive
 from zfall.evaluation.battery import battery_env, play, run_battery
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.kinds.planar import success_by_size
 from zfall.evaluation.pendulum import references
+from zfall.evaluation.play import said
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.report import write_report
 from zfall.evaluation.run_files import read_table
 from zfall.evaluation.statistics import summarize
-from zfall.evaluation.video import film, frame
+from zfall.evaluation.video import Outcomes, film, frame
 from zfall.evaluation.writers import write_summary
 
 SIDES = {
@@ -30,6 +34,8 @@ SIDES = {
     "from the front": 180.0,
     "from the left": 270.0,
 }
+FILMED = ("from behind", "from the left")
+LENGTH = 3.6  # of the film [s]
 
 
 def battery_of(cfg: DictConfig) -> Battery | None:
@@ -99,25 +105,49 @@ def show(
 def video(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module, path: Path, console: Console
 ) -> None:
-    """Films a push of I = 0.4 from four sides, the policy above ``pose_hold``."""
-    still = record(battery, passive(env_cfg), None)
-    rows = {"trained": record(battery, env_cfg, actor), "pose_hold": still}
-    states = {name: qpos for name, (qpos, _) in rows.items()}
-    env, _, _ = battery_env(battery, env_cfg, 64)
-    base = env.base_env
+    """Films a push of I = 0.4 from two sides, the policy above ``pose_hold``."""
+    recorded = {
+        "trained": record(battery, env_cfg, actor),
+        "pose_hold": record(battery, passive(env_cfg), None),
+    }
+    shown = [list(SIDES).index(side) for side in FILMED]
+    base = battery_env(battery, env_cfg, 64)[0].base_env
     try:
-        film(base.simulation.model, states, list(SIDES), rows["trained"][1], path, dt=frame(base))
+        film(
+            base.camera.model,
+            {name: each.states[:, shown] for name, each in recorded.items()},
+            [f"pushed {side}" for side in FILMED],
+            recorded["trained"].forces[:, shown],
+            path,
+            dt=frame(base),
+            outcomes={name: [each.outcomes[i] for i in shown] for name, each in recorded.items()},
+            shadows=False,  # which take most of the time where no graphics card draws
+        )
     except RuntimeError as error:
         console.print(f"no video: {error}")
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """A push from each side.
+
+    Attributes:
+        states: positions ``(T, 4, nq)`` in MuJoCo's order.
+        forces: means from state to state ``(T, 4, 3)`` [N; world].
+        outcomes: what came of each.
+    """
+
+    states: NDArray[np.float64]
+    forces: NDArray[np.float32]
+    outcomes: list[Outcomes]
+
+
 def record(
     battery: Battery, env_cfg: DictConfig, actor: torch.nn.Module | None, size: float = 0.4
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(T, 4, nq)`` and forces ``(T, 4, 3)`` of a push from each side.
+) -> Recorded:
+    """A push from each side, recorded every ``frame`` seconds.
 
-    One every ``frame`` seconds of 3.6 s, of which 0.6 lie before the push, which comes when that of
-    the battery does; a force is the largest since the frame before.
+    Of 3.6 s, 0.6 lie before the push, which comes when that of the battery does.
     """
     env, _, push = battery_env(battery, env_cfg, 64)
     base = env.base_env
@@ -130,13 +160,17 @@ def record(
     qpos, forces = [], []
     every = round(frame(base) / base.control_dt)
     recent: list[np.ndarray] = []
-    steps = start + round(3.6 / base.control_dt)
+    fall_time = torch.full((len(SIDES),), torch.nan)
+    steps = start + round(LENGTH / base.control_dt)
     for step, td in enumerate(play(env, actor, steps), start=-start):
+        down = body_contact(td, td)[: len(SIDES), 0] & fall_time.isnan()
+        fall_time[down] = (step + 1) * base.control_dt
         if step < 0:
             continue
-        recent.append(td["push", "force"][:4].numpy().copy())
+        recent.append(td["push", "force"][: len(SIDES)].numpy().copy())
         if step % every == 0:
-            qpos.append(base.simulation.qpos[:4].numpy().copy())
-            forces.append(max(recent, key=lambda force: float(np.abs(force).sum())))
+            qpos.append(base.simulation.qpos[: len(SIDES)].numpy().copy())
+            forces.append(np.mean(recent, axis=0))
             recent = []
-    return np.stack(qpos), np.stack(forces)
+    outcomes = [said(float(time), LENGTH) for time in fall_time]
+    return Recorded(np.stack(qpos), np.stack(forces), outcomes)

@@ -19,7 +19,7 @@ from zfall.evaluation.followers import outcome_names
 from zfall.evaluation.plans import Pushes, plan_pushes
 from zfall.evaluation.plots import trace_plot
 from zfall.evaluation.results import labels
-from zfall.evaluation.video import film
+from zfall.evaluation.video import film, frame
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ def show_trial(
             console.print(f"  {key}: {shown}")
         replay.traces.to_csv(place / f"trial_{trial}.csv", index=False)
         if video:
-            _film(replay, each.label, place / f"trial_{trial}.mp4", console)
+            outcome = outcome_of(replay.row, outcome_names(battery))
+            _film(replay, each.label, outcome, place / f"trial_{trial}.mp4", console)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[each.name] = replay.traces.rename(columns=renamed)
         pushes += [push for push in replay.pushes if push not in pushes]
@@ -145,16 +146,33 @@ def _times(pushes: Pushes, end: float) -> list[tuple[float, float]]:
     return list(zip(begin.tolist(), (begin + pushes.duration[0][real]).tolist(), strict=True))
 
 
-def _film(replay: Replay, label: str, path: Path, console: Console) -> None:
+def _film(replay: Replay, label: str, outcome: str, path: Path, console: Console) -> None:
     column = f"I = {replay.row['impulse']:.2g}"
     if np.isfinite(replay.row["direction_rad"]):
-        column += f", {np.degrees(replay.row['direction_rad']):.0f} degrees"
-    model, dt = replay.env.simulation.model, replay.env.control_dt
+        column += f", toward {np.degrees(replay.row['direction_rad']):.0f} degrees"
+    env, length = replay.env, float(replay.traces["time_s"].iloc[-1])
+    every = round(frame(env) / env.control_dt)
+    count = len(replay.states) // every
+    forces = replay.forces[: count * every].reshape(count, every, 1, 3).mean(1)
+    said = (max(0.0, length - 1.5), outcome, outcome != "fell")
     try:
-        film(model, {label: replay.states}, [column], replay.forces, path, dt=dt)
+        film(
+            env.camera.model,
+            {label: replay.states[every - 1 :: every]},
+            [column],
+            forces,
+            path,
+            dt=frame(env),
+            outcomes={label: [[said]]},
+        )
         console.print(f"wrote {path}", soft_wrap=True)
     except RuntimeError as error:
         console.print(f"no video: {error}")
+
+
+def outcome_of(row: Mapping[Hashable, Any], outcomes: Sequence[str]) -> str:
+    """The word for how a trial ended: the first outcome that is true."""
+    return next((name for name in outcomes if row.get(name)), "stands bent")
 
 
 def sentence(row: Mapping[Hashable, Any], outcomes: Sequence[str]) -> str:
@@ -164,7 +182,7 @@ def sentence(row: Mapping[Hashable, Any], outcomes: Sequence[str]) -> str:
         row: of ``trials.csv``.
         outcomes: columns that say how it ended; the first true one is the word for it.
     """
-    outcome = next((name for name in outcomes if row.get(name)), "stands bent")
+    outcome = outcome_of(row, outcomes)
     if row["impulse"] == 0:
         return f"not pushed, {outcome}"
     push = f"I = {row['impulse']:.2f}, {row['force_n']:.1f} N for {row['duration_s']:g} s"

@@ -1,16 +1,21 @@
 """Films of trials: a row for each policy, a column for each push."""
 
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import imageio.v2 as imageio
 import mujoco
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.rendering import make_renderer
+from zfall.envs.rendering import make_renderer, place
+from zfall.evaluation.captions import MARKED, Mark, outcome_at, push_marks, write_on
+
+RATE = 25.0  # least pictures per second
+Outcomes = Sequence[tuple[float, str, bool]]  # time [s], words, whether it is good
 
 
 def film(
@@ -21,92 +26,126 @@ def film(
     path: Path,
     *,
     dt: float,
-    tile: tuple[int, int] = (320, 240),
+    tile: tuple[int, int] = (640, 480),
+    slow: float = 1.0,
+    outcomes: Mapping[str, Sequence[Outcomes]] | None = None,
+    shadows: bool = True,
+    follow: Callable[[Iterable[int], int], Iterable[int]] = lambda frames, total: frames,
 ) -> None:
     """Writes an mp4 of a grid: one row per policy, one column per push.
 
-    An arrow shows the force while it acts.
+    A single row of more than two columns takes two lines. An arrow and a line of text mark a
+    push for a second. A clock runs in the upper right corner.
 
     Args:
-        model: of the worlds.
+        model: of what is shown, as ``env.camera.model``.
         rows: by name of the policy, positions ``(T, columns, nq)`` in MuJoCo's order.
         columns: name of each column's push.
         forces: mean force over each step ``(T, columns, 3)`` [N; world].
         path: file to write.
-        dt: time between two frames [s].
+        dt: time between two states [s].
         tile: width and height of one picture [pixels].
+        slow: how fast time goes, 0.25 for four times as slow.
+        outcomes: by name of the policy, what came of each column, and when.
+        shadows: whether there are any; without them a picture takes a third of the time.
+        follow: passes on the numbers of the pictures, as a progress bar does.
 
     Raises:
         RuntimeError: if no OpenGL is to be had.
+        ValueError: if ``slow`` is not in (0, 1].
     """
-    model.vis.quality.offsamples = 2  # software OpenGL pays for every sample
+    if not 0 < slow <= 1:
+        raise ValueError(f"slow must be above 0 and at most 1, got {slow}.")
+    copies = math.ceil(RATE * dt / slow - 1e-6)  # pictures from one state to the next
     renderer = make_renderer(model, *tile)
     option = mujoco.MjvOption()
     option.sitegroup[:] = 0
     data = mujoco.MjData(model)
-    header, gutter = _captions(list(rows), columns, tile)
-    steps = len(forces)
+    marks = {
+        (name, c): push_marks(forces[:, c], _headings(states[:, c]), dt)
+        for name, states in rows.items()
+        for c in range(len(columns))
+    }
+    pace = f"  x{slow:g}" if slow < 1 else ""
     writer: Any
-    with imageio.get_writer(path, fps=1 / dt, macro_block_size=8, quality=7) as writer:
-        for t in range(steps):
-            lines = [header]
-            for index, states in enumerate(rows.values()):
-                tiles = [gutter[index]]
-                for c in range(len(columns)):
-                    data.qpos[:] = states[t, c]
-                    mujoco.mj_forward(model, data)
+    total = len(forces) * copies
+    with imageio.get_writer(path, fps=copies * slow / dt, macro_block_size=8, quality=8) as writer:
+        for picture in follow(range(total), total):
+            t, share = divmod(picture, copies)
+            time = (t + share / copies) * dt
+            lines = []
+            for name, states in rows.items():
+                tiles = []
+                for c, column in enumerate(columns):
+                    place(model, data, between(model, states[:, c], t, share / copies))
                     renderer.update_scene(data, camera="track", scene_option=option)
-                    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-                    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
-                    _draw_arrow(renderer.scene, data, forces[t, c])
-                    tiles.append(renderer.render())
-                lines.append(np.concatenate(tiles, 1))
-            writer.append_data(np.concatenate(lines, 0))
+                    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+                    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+                    mark = marks[name, c][t]
+                    if mark:
+                        _draw_arrow(renderer.scene, data, mark)
+                    said = outcomes[name][c] if outcomes else ()
+                    tiles.append(
+                        write_on(
+                            renderer.render(),
+                            title=f"{name}\n{column}",
+                            clock=f"{time:.2f} s{pace}",
+                            push=mark.label if mark else "",
+                            outcome=outcome_at(said, time),
+                        )
+                    )
+                lines.append(tiles)
+            writer.append_data(_grid(lines))
     renderer.close()
 
 
+def _grid(lines: list[list[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
+    """Pictures in lines; one long line becomes two."""
+    if len(lines) == 1 and len(lines[0]) > 2:
+        tiles = lines[0] + [np.full_like(lines[0][0], 255)] * (len(lines[0]) % 2)
+        half = len(tiles) // 2
+        lines = [tiles[:half], tiles[half:]]
+    return np.concatenate([np.concatenate(tiles, 1) for tiles in lines], 0)
+
+
 def frame(env: HumanoidEnv) -> float:
-    """Time between two frames of the film: whole control steps, about 0.08 s."""
-    return max(1, round(0.08 / env.control_dt)) * env.control_dt
+    """Time between two states of the film: whole control steps, at most 0.04 s if they allow it."""
+    return max(1, math.floor(1 / (RATE * env.control_dt) + 1e-6)) * env.control_dt
 
 
-def _draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, force: NDArray[np.float64]) -> None:
-    """Adds an arrow that ends at the torso, 1 cm per newton."""
-    if np.linalg.norm(force) < 0.1 or scene.ngeom >= scene.maxgeom:
+def between(
+    model: mujoco.MjModel, states: NDArray[np.float64], t: int, share: float
+) -> NDArray[np.float64]:
+    """The state that lies a share of the way from ``states[t]`` ``(T, nq)`` to the next ``(nq,)``.
+
+    A robot that is put somewhere else, 0.2 m or more away, jumps there.
+    """
+    here, there = states[t].copy(), states[min(t + 1, len(states) - 1)]
+    if share == 0 or np.linalg.norm(there[:3] - here[:3]) > 0.2:
+        return here
+    step = np.zeros(model.nv)
+    mujoco.mj_differentiatePos(model, step, 1.0, here, there)
+    mujoco.mj_integratePos(model, here, step, share)
+    return here
+
+
+def _headings(states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the robot faces in states ``(T, nq)``, which begin with its base ``(T,)`` [rad]."""
+    w, x, y, z = states[:, 3:7].T
+    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def _draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, mark: Mark) -> None:
+    """Adds an arrow that ends before the torso, 1 cm per newton up to 40 cm; it fades."""
+    if scene.ngeom >= scene.maxgeom:
         return
-    tip = data.body("Top_Brace").xipos
-    arrow = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(
-        arrow,
-        mujoco.mjtGeom.mjGEOM_ARROW,
-        np.zeros(3),
-        np.zeros(3),
-        np.zeros(9),
-        np.array([0.85, 0.2, 0.1, 1.0], dtype=np.float32),
-    )
-    start = tip - 0.01 * force
-    mujoco.mjv_connector(arrow, mujoco.mjtGeom.mjGEOM_ARROW, 0.012, start, tip)
+    size = float(np.linalg.norm(mark.force))
+    way = mark.force / size
+    tip = data.body(1).subtree_com + np.array([0.0, 0.0, 0.08]) - 0.08 * way
+    start = tip - way * min(0.01 * size, 0.4)
+    alpha = 1.0 - 0.75 * min(mark.age / MARKED, 1.0)
+    arrow, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_ARROW
+    color = np.array([0.835, 0.369, 0.0, alpha], dtype=np.float32)
+    mujoco.mjv_initGeom(arrow, kind, np.zeros(3), np.zeros(3), np.zeros(9), color)
+    mujoco.mjv_connector(arrow, kind, 0.014, start, tip)
     scene.ngeom += 1
-
-
-def _captions(
-    names: list[str], columns: list[str], tile: tuple[int, int]
-) -> tuple[NDArray[np.uint8], list[NDArray[np.uint8]]]:
-    """Pictures with the names of columns (above) and rows (at the left)."""
-    width, height = tile
-    side, top = 32, 32
-    cells = [_text(name, width, top) for name in columns]
-    header = np.concatenate([np.full((top, side, 3), 255, np.uint8), *cells], 1)
-    gutter = [np.ascontiguousarray(np.rot90(_text(name, height, side))) for name in names]
-    return header, gutter
-
-
-def _text(text: str, width: int, height: int) -> NDArray[np.uint8]:
-    """Black text in the middle of a white picture."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
-    figure.text(0.5, 0.5, text, ha="center", va="center", fontsize=11)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -46,6 +46,8 @@ class Robot:
         legs: the joints of the legs.
         postures: other poses by name, each like ``stand``: joints that are not at zero [rad].
             What needs one names it, see ``posture``.
+        look: path of an MJCF of what the robot looks like, see ``zfall.simulation.look``; its
+            own geoms are shown if ``None``.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Robot:
     mass: float
     legs: tuple[str, ...] = ()
     postures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    look: str | None = None
 
     @property
     def stand_position(self) -> tuple[float, ...]:

@@ -27,6 +27,7 @@ _KEEPS_SIGN = ("hip_pitch", "knee_pitch", "ankle_pitch")
 ZEROTH01 = Robot(
     name="zeroth01",
     mjcf=str(_ASSETS / "zeroth01.xml"),
+    look=str(_ASSETS / "zeroth01_look.xml"),
     joints=_JOINTS,
     stand={
         "right_hip_roll": -0.1,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from zfall.robots import Ball, PushPoint, Robot
 from zfall.robots.servos import Servo
+from zfall.simulation.look import dress
 from zfall.simulation.quantities import needed_sensors
 from zfall.simulation.servos import put_servos
 
@@ -27,19 +28,24 @@ def compile_model(
     ball: Ball | None = None,
     servos: Mapping[str, Servo] | None = None,
     powered: bool = True,
+    look: bool = False,
 ) -> mujoco.MjModel:
     """Compiles ``model_spec``.
 
     Args:
         robot, physics_dt, push_points, ball, servos: see ``model_spec``.
         powered: whether the servos act at all; without power the robot is limp.
+        look: whether to add what the robot looks like, for pictures; the state stays the same.
 
     Raises:
         ValueError: as ``model_spec``.
     """
-    model = model_spec(
+    spec = model_spec(
         robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos
-    ).compile()
+    )
+    if look:
+        dress(spec, robot)
+    model = spec.compile()
     if not powered:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     return model

@@ -16,32 +16,54 @@ from zfall.files import written_whole
 POINTS = 40  # at which curves of several seeds are averaged
 
 
-def learning_curves(metrics: pd.DataFrame, path: Path) -> None:
+def learning_curves(metrics: pd.DataFrame | Mapping[str, pd.DataFrame], path: Path) -> None:
     """Return, episode length, KL divergence and reward terms over frames.
 
+    A bold line is the mean over about a thirtieth of the training, the faint one behind it the
+    values. Of several runs the terms are left out, and each has its colour and dashes.
+
     Args:
-        metrics: rows of a run's ``metrics.csv``.
+        metrics: rows of a run's ``metrics.csv``, or of several by their names.
         path: file to write.
     """
-    frames = metrics["frames"] / 1e6
-    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    runs = {"": metrics} if isinstance(metrics, pd.DataFrame) else dict(metrics)
+    figure = Figure(figsize=(9, 5.8), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for ax, key, label in (
         (axes[0, 0], "episode_return", "return of an episode"),
         (axes[0, 1], "episode_seconds", "length of an episode [s]"),
         (axes[1, 0], "kl", "KL divergence of an update"),
     ):
-        ax.plot(frames, metrics[key], lw=1, color="tab:blue")
+        for (name, rows), look in zip(runs.items(), itertools.cycle(LINES), strict=False):
+            _smoothed(ax, rows, key, name, look)
         ax.set_ylabel(label)
-    for key in (str(k) for k in metrics if str(k).startswith("reward/")):
-        axes[1, 1].plot(frames, metrics[key], lw=1, label=key.removeprefix("reward/"))
-    axes[1, 1].set_ylabel("mean summand of the reward")
-    axes[1, 1].legend(fontsize=7, ncols=2)
+    below = axes[1, 1]
+    if len(runs) == 1:
+        (rows,) = runs.values()
+        terms = [str(k) for k in rows if str(k).startswith("reward/")]
+        for key, look in zip(terms, itertools.cycle(LINES), strict=False):
+            _smoothed(below, rows, key, key.removeprefix("reward/"), look)
+        below.set_ylabel("mean summand of the reward")
+    else:
+        below.set_axis_off()
+    handles, names = (below if len(runs) == 1 else axes[0, 0]).get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", fontsize=8, ncols=4, frameon=False)
     for ax in axes.flat:
         ax.grid(alpha=0.3)
-    for ax in axes[1]:
+    for ax in (axes[1, 0], below if len(runs) == 1 else axes[0, 1]):
         ax.set_xlabel("frames [millions]")
+        ax.tick_params(labelbottom=True)
     figure.savefig(path, dpi=130)
+
+
+def _smoothed(axes: Any, rows: pd.DataFrame, key: str, name: str, look: tuple[str, str]) -> None:
+    """A column over the frames: its running mean, and the values faint behind it."""
+    frames, (style, color) = rows["frames"] / 1e6, look
+    window = max(1, len(rows) // 30)
+    mean = rows[key].rolling(window, center=True, min_periods=1).mean()
+    axes.plot(frames, rows[key], lw=0.7, color=color, alpha=0.3)
+    every = max(1, len(rows) // 8)
+    axes.plot(frames, mean, style, lw=1.5, ms=4, markevery=every, color=color, label=name)
 
 
 def learning_bands(
@@ -63,15 +85,15 @@ def learning_bands(
     """
     figure = Figure(figsize=(3.5, 2.7), layout="constrained")
     axes = figure.subplots()
-    for (name, runs), (style, grey) in zip(groups.items(), itertools.cycle(LINES), strict=False):
+    for (name, runs), (style, color) in zip(groups.items(), itertools.cycle(LINES), strict=False):
         end = min(float(run["frames"].max()) for run in runs)
         edges = np.linspace(0.0, end, POINTS + 1)
         curves = np.array([_binned(run, key, edges) for run in runs])
         frames = 0.5 * (edges[1:] + edges[:-1]) / 1e6
-        (curve,) = axes.plot(frames, curves.mean(0), style, color=grey, lw=1.4, markevery=5, ms=3)
+        (curve,) = axes.plot(frames, curves.mean(0), style, color=color, lw=1.4, markevery=5, ms=3)
         curve.set_label(f"{name} ({len(runs)})")
         band = np.array([bootstrap_interval(values, resamples=999) for values in curves.T])
-        axes.fill_between(frames, band[:, 0], band[:, 1], color=grey, alpha=0.18, lw=0)
+        axes.fill_between(frames, band[:, 0], band[:, 1], color=color, alpha=0.18, lw=0)
     axes.set_xlabel("frames [millions]", fontsize=8)
     axes.set_ylabel(label, fontsize=8)
     axes.tick_params(labelsize=7)

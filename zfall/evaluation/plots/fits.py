@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from zfall.evaluation.plots.polar import VERMILION
 from zfall.robots.servos.logs import ServoLog
 
 
@@ -32,11 +33,11 @@ def fit_plot(
     for (above, below), log, fitted in zip(panels.T, logs, positions, strict=True):
         above.step(log.time, log.target, where="post", color="0.75", lw=1, label="target")
         above.plot(log.time, log.position, color="k", lw=2.2, label="log")
-        above.plot(log.time, fitted, color="C1", lw=1, label="fitted servo")
+        above.plot(log.time, fitted, color=VERMILION, lw=1, label="fitted servo")
         error = 1e3 * (log.position - fitted)
         half = 500 * resolution
         below.axhspan(-half, half, color="0.9", lw=0, label="half a step of the encoder")
-        below.plot(log.time, error, color="C1", lw=0.7)
+        below.plot(log.time, error, color=VERMILION, lw=0.7)
         rms = float(np.sqrt(np.mean(error**2)))
         above.set_title(f"{log.name}: {rms:.2f} mrad rms", fontsize=9)
         below.set_xlabel("time [s]", fontsize=8)

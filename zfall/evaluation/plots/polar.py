@@ -15,9 +15,11 @@ from zfall.evaluation.pendulum import CAPTION, Reference
 from zfall.evaluation.statistics import largest_withstood, success_table
 
 TITLE = 44  # characters in a line of a title
-# Distinct without colour.
-LINES = [("-", "0.0"), ("--", "0.35"), (":", "0.5"), ("-.", "0.6"),
-          ("o-", "0.0"), ("s--", "0.35"), ("^:", "0.5"), ("D-.", "0.6")]  # fmt: skip
+# Colours of Okabe and Ito, which the colour-blind tell apart; dashes and marks tell without colour.
+BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072B2", "#D55E00", "#009E73"
+ORANGE, SKY, PURPLE, GREY = "#E69F00", "#56B4E9", "#CC79A7", "#777777"
+LINES = [("-", BLUE), ("--", VERMILION), ("-.", GREEN), (":", BLACK),
+         ("o-", ORANGE), ("s--", SKY), ("^:", PURPLE), ("D-.", GREY)]  # fmt: skip
 
 
 def success_map(
@@ -151,7 +153,7 @@ def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
 def overlay(
     runs: Mapping[str, pd.DataFrame], path: Path, *, title: str, lines: Sequence[Reference] = ()
 ) -> None:
-    """Polar lines of I50 by direction, one for each run, grey, each with its own dashes.
+    """Polar lines of I50 by direction, one for each run, each with its own colour and dashes.
 
     Args:
         runs: trials of one planar battery by name.
@@ -162,7 +164,7 @@ def overlay(
     figure = Figure(figsize=(4.6, 5.2), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
-    for (name, trials), (line, grey) in zip(runs.items(), itertools.cycle(LINES), strict=False):
+    for (name, trials), (line, color) in zip(runs.items(), itertools.cycle(LINES), strict=False):
         table = success_table(trials)
         i50 = [largest_withstood(table.columns.to_numpy(), r, 0.5) for r in table.to_numpy()]
         angles = table.index.to_numpy()
@@ -170,7 +172,7 @@ def overlay(
             np.append(angles, angles[0]),
             np.append(i50, i50[0]),
             line,
-            color=grey,
+            color=color,
             label=f"{name}: {np.mean(i50):.2f}",
         )
     _draw_references(axes, lines, "0.6")
@@ -189,7 +191,7 @@ def envelope_plot(
     """Largest impulse recovered from by direction, a polar plot for each push point.
 
     Args:
-        tables: of ``envelope_table`` by name of the policy; grey, each with its own dashes.
+        tables: of ``envelope_table`` by name of the policy, each with its own colour and dashes.
         path: file to write; its ending gives the format.
         title: above the plots.
         lines: drawn besides, in light grey; named in the first plot alone.
@@ -203,11 +205,11 @@ def envelope_plot(
         axes: Any = figure.add_subplot(rows, columns, place, projection="polar")
         axes.set_theta_zero_location("N")
         pairs = zip(tables.items(), itertools.cycle(LINES), strict=False)
-        for (name, table), (line, grey) in pairs:
+        for (name, table), (line, color) in pairs:
             cells = table[table["body"] == body].sort_values("direction_rad")
             angles, largest = cells["direction_rad"].to_numpy(), cells["largest"].to_numpy()
             around = np.append(angles, angles[0]), np.append(largest, largest[0])
-            axes.plot(*around, line, color=grey, label=f"{name}: mean {largest.mean():.2f}")
+            axes.plot(*around, line, color=color, label=f"{name}: mean {largest.mean():.2f}")
         handles, _ = axes.get_legend_handles_labels()
         _draw_references(axes, lines, "0.6")
         axes.set_ylim(0, reach)

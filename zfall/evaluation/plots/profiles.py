@@ -26,14 +26,14 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
     """
     figure = Figure(figsize=(3.5, 2.6 + 0.15 * len(runs)), layout="constrained")
     axes, most = figure.subplots(), 0.0
-    for (name, trials), (style, grey) in zip(runs.items(), itertools.cycle(LINES), strict=False):
+    for (name, trials), (style, color) in zip(runs.items(), itertools.cycle(LINES), strict=False):
         table = success_table(trials)
         sizes = table.columns.to_numpy()
         i50 = np.array([largest_withstood(sizes, rates, 0.5) for rates in table.to_numpy()])
         steps = np.concatenate([[0.0], sizes])
         share = performance_profile(i50, steps - 1e-6)  # at least, not more than
         label = f"{name}: IQM {interquartile_mean(i50):.2f}"
-        axes.step(steps, share, style, markersize=3, where="pre", color=grey, label=label)
+        axes.step(steps, share, style, markersize=3, where="pre", color=color, label=label)
         most = max(most, float(i50.max()))
     axes.set_xlim(0.0, most + 0.2)
     axes.set_xlabel("impulse I", fontsize=8)

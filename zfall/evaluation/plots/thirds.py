@@ -7,7 +7,9 @@ import pandas as pd
 from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 
-PARTS = {"low": "v", "middle": "o", "high": "^"}
+from zfall.evaluation.plots.polar import BLUE, GREY, VERMILION
+
+PARTS = {"low": ("v", BLUE), "middle": ("o", GREY), "high": ("^", VERMILION)}
 CHANCE = 0.05
 
 
@@ -27,10 +29,10 @@ def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
     clear = np.where(table["p"] <= CHANCE, 1.0, 0.3)
     grey = to_rgba_array("0.7", clear)
     axes.hlines(places, shares.min(axis=1), shares.max(axis=1), colors=list(grey), lw=1.5)
-    for number, (part, marker) in enumerate(PARTS.items()):
-        colors = to_rgba_array(f"C{number}", clear)
+    for part, (marker, color) in PARTS.items():
+        colors = to_rgba_array(color, clear)
         axes.scatter(shares[part], places, s=25, c=colors, marker=marker)
-        axes.plot([], [], marker, color=f"C{number}", ms=5, label=f"{part} third")
+        axes.plot([], [], marker, color=color, ms=5, label=f"{part} third")
     names = [
         f"{row.parameter}  {row.smallest:.3g} to {row.largest:.3g}   p {row.p:.1g}"
         for row in table.itertuples(index=False)

@@ -35,9 +35,9 @@ def trace_plot(
         for push in pushes:
             axes.axvspan(*push, color="0.88", lw=0)
         lines = zip(traces.items(), itertools.cycle(LINES), strict=False)
-        for (name, rows), (style, grey) in lines:
+        for (name, rows), (style, color) in lines:
             (line,) = axes.plot(
-                rows["time_s"], rows[key], style, color=grey, lw=1, markevery=5, ms=3
+                rows["time_s"], rows[key], style, color=color, lw=1, markevery=5, ms=3
             )
             line.set_label(name)
         axes.set_ylabel(label, fontsize=8)
