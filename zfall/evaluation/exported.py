@@ -12,7 +12,6 @@ import pandas as pd
 import torch
 from dm_control.mujoco import wrapper
 from dm_control.rl import control
-from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from zfall.envs.dm_task import TableTask

@@ -16,8 +16,6 @@ from zfall.policies.on_robot import RobotPolicy, operated, plain_name
 from zfall.simulation.quantities import UNITS
 
 
-
-
 def export(
     module: nn.Module, path: Path, *, inputs: Mapping[str, Tensor], outputs: Sequence[str]
 ) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-KEYS = ("format", "robot", "control_dt_s", "ticks", "joints", "low_rad", "high_rad", "sensors",
-        "states")  # fmt: skip
+KEYS = ("format", "robot", "control_dt_s", "ticks", "joints", "reference_rad", "low_rad",
+        "high_rad", "sensors", "states", "config")  # fmt: skip
 FORMAT = 2  # of policy.json
 
 

@@ -125,8 +125,7 @@ def software(env: TransformedEnv) -> tuple[list[OnRobot], list[NestedKey]]:
     unknown = [key for key in needed if key not in there and key not in operated(env)]
     if unknown:
         raise ValueError(
-            "run must observe what a robot can know to be exported, got "
-            f"{plain_name(unknown[0])}."
+            f"run must observe what a robot can know to be exported, got {plain_name(unknown[0])}."
         )
     return steps, list(needed)
 

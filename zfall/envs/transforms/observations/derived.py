@@ -71,7 +71,10 @@ class BasePose(Transform):
 
     def on_robot(self) -> OnRobot:
         """The same on a robot that is given what it reads."""
-        functions = {"base_height": lambda p, q: p[..., 2:], "roll_pitch": lambda p, q: roll_pitch(q)}
+        functions = {
+            "base_height": lambda p, q: p[..., 2:],
+            "roll_pitch": lambda p, q: roll_pitch(q),
+        }
         return Derived(self.in_keys, functions)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
