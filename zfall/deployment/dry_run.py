@@ -56,7 +56,7 @@ def compare(
     policy: ExportedPolicy,
     bus: SimulatedBus,
     env_cfg: DictConfig,
-    actor: torch.nn.Module,
+    actor: torch.nn.Module | None,
     *,
     seed: int = 0,
     only: Sequence[int] | None = None,

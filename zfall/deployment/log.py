@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-COLUMNS = ("time_s", "late_s", "latency_s", "network_s", "joint", "temperature_c", "clipped", "event")  # fmt: skip
+COLUMNS = (
+    *("time_s", "late_s", "latency_s", "network_s"),
+    *("joint", "temperature_c", "clipped", "event"),
+)
 
 
 class Log:

@@ -49,7 +49,8 @@ class SimulatedBus:
         self.battery, self.realtime, self.cut = battery, realtime, False
         self.env, self._start, self._push = battery_env(battery, bare, 1)
         self.base = self.env.base_env
-        self.robot, self.joints = self.base.robot.name, list(self.base.robot.joints)
+        self.robot = self.base.robot.name
+        self.joints: Sequence[str] = list(self.base.robot.joints)
         there = [key for key in self.base.observation_spec if isinstance(key, str)]
         self.quantities: Sequence[str] = IMU if battery.world is not None else there
 

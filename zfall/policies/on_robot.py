@@ -36,7 +36,8 @@ class RobotPolicy(nn.Module):
     def __init__(self, env: TransformedEnv, actor: Any):
         super().__init__()
         steps, self.sensors = software(env)
-        self.steps = nn.ModuleList(steps)
+        self.steps = steps
+        self.parts = nn.ModuleList(steps)
         self.shapes = {key: env.observation_spec[key].shape[1:] for key in self.sensors}
         vectors = [step.reads for step in steps if "observation" in step.writes]
         self.spans = vector_spans(env.observation_spec, vectors[-1])
