@@ -51,7 +51,7 @@ class Keys(TypedDict):
     bus: Name | Mapping[str, Any]
     trust: Changes
     seconds: Positive
-    push: Forces
+    force: Forces
     cut: NotNegative | None
     seed: Seed
     realtime: bool
@@ -104,7 +104,7 @@ def bus_of(cfg: DictConfig, policy: "ExportedPolicy") -> Any:
         return instantiate(cfg.bus, _convert_="all")
     from zfall.deployment.simulated import pushed
 
-    return pushed(simulated(cfg, policy), force=tuple(cfg.push), seed=cfg.seed, cut=cfg.cut)
+    return pushed(simulated(cfg, policy), force=tuple(cfg.force), seed=cfg.seed, cut=cfg.cut)
 
 
 def simulated(cfg: DictConfig, policy: "ExportedPolicy", **options: Any) -> "SimulatedBus":
