@@ -1,12 +1,11 @@
 """Writes a policy for a robot: ``python -m recipes.export run=best``.
 
-``policy.onnx`` takes ``observation`` (and ``memory``) and gives ``action`` (and ``next_memory``);
-``policy.json`` says what they mean. docs/drive.py runs both with onnxruntime and MuJoCo alone.
+``policy.onnx`` is all that the robot's computer does in a control step, from the sensors to the
+targets of the servos; ``policy.json`` says what its numbers mean. ``zfall drive`` runs both.
 ``planar=5`` puts the exported policy to battery planar, in dm_control, and the policy itself.
 """
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypedDict
@@ -15,7 +14,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zfall.commands import remove_if_empty, shown_path
+from zfall.commands import remove_if_empty, shell_line, shown_path
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
 
@@ -43,28 +42,26 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.battery import battery_env
         from zfall.evaluation.candidate import load_candidate
         from zfall.evaluation.definitions import load_battery
-        from zfall.policies.export import describe, export
+        from zfall.policies.export import describe, export_policy
 
         starts = cfg.planar
         policy = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
         if policy.actor is None:
             raise ValueError(f"run must hold a policy, {cfg.run} is a baseline.")
         env, _, _ = battery_env(load_battery("planar"), policy.env_cfg, 1)
-        about = describe(env, policy.actor, policy.env_cfg)
         # One that ships has no folder.
         folder = Path(cfg.run) / "export" if Path(cfg.run).is_dir() else output
         folder.mkdir(exist_ok=True)
         try:
-            export(policy.actor, folder / "policy.onnx", size=about["observation_size"])
+            robot_policy = export_policy(env, policy.actor, folder / "policy.onnx")
         finally:
             remove_if_empty(folder)
-    about["checkpoint"] = cfg.checkpoint
+        about = describe(env, robot_policy, policy.env_cfg) | {"checkpoint": cfg.checkpoint}
     (folder / "policy.json").write_text(json.dumps(about, indent=2))
     remove_if_empty(output)  # what was written lies in the run folder
     place = shown_path(folder)
     print(f"wrote {place}/policy.onnx, policy.json")
-    python = shown_path(Path(sys.executable))
-    print(f"to drive the robot: {python} docs/drive.py {place}/policy.onnx {place}/policy.json")
+    print(f"to drive the simulated robot: {shell_line('drive', f'policy={place}')}")
     if starts is None:
         return
     from rich.progress import Progress, TimeElapsedColumn

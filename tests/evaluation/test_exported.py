@@ -3,18 +3,15 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
-import torch
 from omegaconf import OmegaConf
-from torchrl.data import Composite, Unbounded
 
 from zfall.evaluation.battery import battery_env, run_battery
 from zfall.evaluation.definitions import load_battery
-from zfall.evaluation.exported import OnnxPolicy, agreement, run_exported
-from zfall.modules.actors import gru_actor
-from zfall.policies.export import describe, export
+from zfall.evaluation.exported import agreement, run_exported
+from zfall.policies.export import describe, export_policy
+from zfall.policies.exported import ExportedPolicy
 from zfall.policies.load import load_policy
 
 BATTERY = load_battery("planar", starts=1, impulses=[0.3, 1.9])
@@ -25,12 +22,13 @@ TRIALS = [0, 12, 24, 30]  # no push; a small one forward; large ones forward and
 def exported(tmp_path_factory):
     """The policy that ships: config, actor, and what was exported of it."""
     pytest.importorskip("onnxruntime")
-    path = tmp_path_factory.mktemp("exported") / "policy.onnx"
+    folder = tmp_path_factory.mktemp("exported")
     policy = load_policy("best")
     env_cfg, actor = policy.config.env, policy.actor
-    about = describe(battery_env(BATTERY, env_cfg, 1)[0], actor, env_cfg)
-    export(actor, path, size=about["observation_size"])
-    return env_cfg, actor, OnnxPolicy(path, json.loads(json.dumps(about)))
+    env, _, _ = battery_env(BATTERY, env_cfg, 1)
+    about = describe(env, export_policy(env, actor, folder / "policy.onnx"), env_cfg)
+    (folder / "policy.json").write_text(json.dumps(about))
+    return env_cfg, actor, ExportedPolicy(folder)
 
 
 def test_trials_end_as_those_of_the_policy(exported):
@@ -49,12 +47,11 @@ def test_trials_end_as_those_of_the_policy(exported):
     assert theirs["target_error"].max() < 1e-6
 
 
-def test_a_description_that_is_wrong_is_seen(exported):
-    """Twice the scale: half of each action is missing in the targets."""
+def test_a_task_with_other_targets_is_seen(exported):
+    """Twice the scale in the task: half of each action is missing in the exported targets."""
     env_cfg, _, policy = exported
-    wrong = OnnxPolicy.__new__(OnnxPolicy)
-    wrong.session, wrong.about = policy.session, policy.about | {"scale_rad": 1.2}
-    table = run_exported(replace(BATTERY, end_time=0.4), env_cfg, wrong, only=[0])
+    wrong = OmegaConf.merge(env_cfg, {"transforms": {"action": {"scale": 1.2}}})
+    table = run_exported(replace(BATTERY, end_time=0.4), wrong, policy, only=[0])
     assert table["target_error"].item() > 0.1
 
 
@@ -98,20 +95,3 @@ def test_agreement_counts_by_hand():
     assert "in zfall: recovered 0.500, I50 mean 0.500, least 0.50" in text
     assert "a push 1 of 1" in text
     assert "to 2e-07 rad" in text
-
-
-def test_a_memory_is_kept_between_steps_and_lost_at_a_reset(tmp_path):
-    """The same observation twice: the second action knows of the first, after a reset none does."""
-    pytest.importorskip("onnxruntime")
-    torch.manual_seed(0)
-    spec = Composite(observation=Unbounded((1, 12)), shape=(1,))
-    actor = gru_actor(spec, Unbounded((1, 5)), hidden_size=8, num_layers=2)
-    for parameter in actor.parameters():  # else all actions are zero
-        parameter.data += 0.3 * torch.randn_like(parameter)
-    export(actor, tmp_path / "policy.onnx", size=12)
-    policy = OnnxPolicy(tmp_path / "policy.onnx", {"memories": {"memory": [1, 2, 8]}})
-    seen = np.ones(12, dtype=np.float32)
-    first, second = policy(seen), policy(seen)
-    policy.reset()
-    assert np.abs(second - first).max() > 1e-3
-    assert policy(seen).tolist() == first.tolist()

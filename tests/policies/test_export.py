@@ -11,9 +11,9 @@ from tests.recurrent import lstm_actor, two_grus_actor
 from zfall.evaluation.battery import battery_env
 from zfall.evaluation.definitions import load_battery
 from zfall.modules.actors import gru_actor, mlp_actor, recurrent_keys
-from zfall.modules.deployed import memories_at_start
+from zfall.modules.deployed import deployed, memories_at_start
 from zfall.policies.export import describe, export
-from zfall.policies.load import load_policy
+from zfall.policies.on_robot import RobotPolicy
 
 SPEC = Composite(observation=Unbounded((1, 12)), shape=(1,))
 ACTION = Unbounded((1, 5))
@@ -53,9 +53,11 @@ def test_onnx_acts_as_the_actor_over_ten_seconds(kind, tmp_path):
     for module in actor.modules():
         if hasattr(module, "variance"):
             module.update(3.0 * torch.randn(500, 12) + 1.0)
-    export(actor, tmp_path / "policy.onnx", size=12)
-    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     starts = memories_at_start(actor)
+    inputs = {"observation": torch.zeros(1, 12), **starts}
+    outputs = ["action", *(f"next_{name}" for name in starts)]
+    export(deployed(actor), tmp_path / "policy.onnx", inputs=inputs, outputs=outputs)
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     own = {name: start.numpy() for name, start in starts.items()}
     td = TensorDict({"is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
     td.update(dict(zip(recurrent_keys(actor), starts.values(), strict=True)))
@@ -86,7 +88,8 @@ def test_units_are_declared_where_a_quantity_is_written(compose_config):
     ]
     cfg = compose_config("num_envs=1", *added).env
     env, _, _ = battery_env(load_battery("planar"), cfg, 1)
-    about = describe(env, load_policy("best").actor, cfg)
+    actor = mlp_actor(env.observation_spec, env.action_spec, num_cells=[4])
+    about = describe(env, RobotPolicy(env, actor), cfg)
     units = {entry["name"]: entry["unit"] for entry in about["observation"]}
     assert units == {
         "joint_velocity": "rad/s",

@@ -1,77 +1,35 @@
 """An exported policy in battery planar: its network by onnxruntime, its world by dm_control.
 
-Observation and action are the task's own; that ``policy.json`` says the same of the action is
-checked in every step.
+It is given what the task measures, and its action is the task's; that its own targets are those
+of the task is checked in every step.
 """
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
 from dm_control.mujoco import wrapper
 from dm_control.rl import control
-from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from zfall.envs.dm_task import TableTask
 from zfall.envs.tables import robot_of
+from zfall.envs.transforms.observations.measured import read_measured
 from zfall.evaluation.battery import arrange, battery_env, run_battery
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import plan_pushes, plan_trials, those_of
 from zfall.evaluation.statistics import summarize
+from zfall.policies.exported import ExportedPolicy
 from zfall.simulation.dm_control import Physics
-
-
-class OnnxPolicy:
-    """``policy.onnx`` with its memories, and what ``policy.json`` says of its action.
-
-    Args:
-        path: of ``policy.onnx``.
-        about: content of ``policy.json``.
-
-    Raises:
-        ValueError: without onnxruntime.
-    """
-
-    def __init__(self, path: Path, about: Mapping[str, Any]):
-        try:
-            import onnxruntime  # an extra of the package
-        except ModuleNotFoundError:
-            raise ValueError('planar needs: .venv/bin/pip install -e ".[export]"') from None
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self.session: Any = onnxruntime.InferenceSession(str(path), options)
-        self.about = about
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets."""
-        shapes = self.about["memories"]
-        self.memories = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The action ``(J,)`` for an observation ``(D,)``."""
-        inputs = {"observation": observation[None], **self.memories}
-        action, *after = self.session.run(None, inputs)
-        self.memories = dict(zip(self.memories, after, strict=True))
-        return action[0]
-
-    def target(self, action: NDArray[np.float32]) -> NDArray[np.float64]:
-        """What a robot that knows ``policy.json`` alone sends to its servos ``(J,)`` [rad]."""
-        about = self.about
-        target = np.array(about["reference_rad"]) + about["scale_rad"] * action
-        return np.clip(target, about["low_rad"], about["high_rad"])
 
 
 def run_exported(
     battery: Battery,
     env_cfg: DictConfig,
-    policy: OnnxPolicy,
+    policy: ExportedPolicy,
     *,
     seed: int = 0,
     only: Sequence[int] | None = None,
@@ -89,7 +47,7 @@ def run_exported(
 
     Returns:
         One row per trial, as ``run_battery`` gives it; and ``target_error`` [rad], the largest
-        distance of the targets from those of ``policy.json``.
+        distance of the task's targets from those of the exported policy.
 
     Raises:
         ValueError: on an unknown trial, or if the task ends an episode before a trial is over.
@@ -112,10 +70,12 @@ def run_exported(
         policy.reset()
         outcomes, now, error = Outcomes(base, battery), face.reset(), 0.0
         for step in range(steps):
-            action = policy(now.observation["observation"])
+            keys = [name for name in policy.sizes if name in task.outcome]
+            seen = {key: read_measured(task.outcome, key)[0].numpy() for key in keys}
+            action, _ = policy.step(seen)
             now = face.step(action)
             outcomes.update(task.outcome)
-            off = task.outcome["target"][0].numpy() - policy.target(action)
+            off = task.outcome["target"][0].numpy() - policy.states["target"][0]
             error = max(error, float(np.abs(off).max()))
             if outcomes.settled.all():
                 break
@@ -144,7 +104,7 @@ def agreement(battery: Battery, exported: pd.DataFrame, own: pd.DataFrame) -> st
             f"{summary['control_falls']} of {summary['control_n']}"
         )
     error = exported["target_error"].max()
-    return "\n".join([*lines, f"targets are those of policy.json to {error:.1g} rad"])
+    return "\n".join([*lines, f"targets are those of the task to {error:.1g} rad"])
 
 
 def compare_planar(
@@ -167,7 +127,7 @@ def compare_planar(
     Returns:
         Their ``agreement``.
     """
-    policy = OnnxPolicy(folder / "policy.onnx", json.loads((folder / "policy.json").read_text()))
+    policy = ExportedPolicy(folder)
     exported = run_exported(battery, env_cfg, policy, progress=follow("as exported"))
     own = run_battery(battery, env_cfg, actor, progress=follow("in zfall"))
     exported.assign(recovered_in_zfall=own["recovered"]).to_csv(folder / "planar.csv", index=False)

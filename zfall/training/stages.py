@@ -54,8 +54,8 @@ def stages_of(cfg: DictConfig) -> list[Stage]:
     ``stage:NAME`` is what a stage before it came to. A stage that is null is left out.
 
     Raises:
-        ValueError: on a stage that is neither a table nor null, a name that it cannot have, or a key that is that
-            of the whole run.
+        ValueError: on a stage that is neither a table nor null, a name that it cannot have, or a
+            key that is that of the whole run.
     """
     if not cfg.get("stages"):
         return [Stage(None, 0, cfg)]

@@ -47,6 +47,7 @@ class Command(Transform):
     Source: the entries are those of the Zeroth-01 project's report; the draws are ours.
     """
 
+    operator = ("command",)  # given from outside on a robot, too
     units: ClassVar[Mapping[str, str]] = {"command": "m/s, m/s, rad, m, rad, rad"}
 
     command: Tensor

@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.on_robot import Known, OnRobot
 from zfall.envs.transforms.actions.action import read_action, replace_control
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.values import per_world
@@ -69,6 +70,10 @@ class JointPositionTarget(Transform):
         target = self.reference.expand(*tensordict_reset.batch_size, -1).clone()
         return tensordict_reset.set("target", targets_before(tensordict, target))
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot, which begins with the reference as its target."""
+        return _PositionOnRobot(self.reference, self.range, float(self.scale))
+
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         scale = per_world(self.scale, 2)
         low, high = ((end - self.reference) / scale for end in self.range.unbind(-1))
@@ -77,3 +82,20 @@ class JointPositionTarget(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["target"] = Unbounded((*observation_spec.shape, len(self.reference)))
         return observation_spec
+
+
+class _PositionOnRobot(OnRobot):
+    def __init__(self, reference: Tensor, joint_range: Tensor, scale: float):
+        super().__init__([], ["target"], {"target": reference[None].clone()})
+        self.register_buffer("reference", reference.clone())
+        self.register_buffer("range", joint_range.clone())
+        self.scale = scale
+
+    def observe(self, known: Known) -> None:
+        known["target"] = known["state", "target"]
+
+    def act(self, known: Known) -> None:
+        low, high = self.get_buffer("range").unbind(-1)
+        target = self.get_buffer("reference") + self.scale * known["action"]
+        known["next", "target"] = torch.clamp(target, low, high)
+        known["command"] = known["next", "target"][:, None]

@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.on_robot import Known, OnRobot, at_begin, seen
 from zfall.envs.transforms.actions.action import read_action, replace_control
 from zfall.envs.transforms.actions.commands import check_chain, refuse_commands, targets_before
 from zfall.envs.transforms.base_env import base_env_of, needs_env
@@ -106,12 +107,9 @@ class JointVelocityTarget(Transform):
         low, high = self.range.unbind(-1)
         action = read_action(tensordict, len(self.range)).clamp(-1.0, 1.0)
         velocity = action * per_world(self.limit, 2)
-        velocity, start = velocity[:, None], self.position[:, None]
-        position = torch.clamp(start + velocity * self.time, low, high)
-        begin, end = position[:, :-1], position[:, 1:]  # of each tick, so that their distance
-        # over the tick is the slope: less than the velocity where the stop is met.
-        command = torch.lerp(begin, end, self.time_constant / self.tick)
-        self.position = position[:, -1].clone()
+        lead = self.time_constant / self.tick
+        command, end = _integrated(self.position, velocity, self.time, low, high, lead)
+        self.position = end.clone()
         tensordict["target"] = self.position.clone()
         if self.hold > 1:
             command = command.repeat_interleave(self.hold, 1)
@@ -131,6 +129,10 @@ class JointVelocityTarget(Transform):
         self.position = torch.where(rows[:, None], start, self.position)
         return tensordict_reset.set("target", self.position.clone())
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot, which begins with its joints' measured angles as targets."""
+        return _VelocityOnRobot(self)
+
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         one = torch.ones(len(self.range))
         return replace_control(input_spec, -one, one)
@@ -139,3 +141,33 @@ class JointVelocityTarget(Transform):
         base_env_of(self)
         observation_spec["target"] = Unbounded(self.position.shape)
         return observation_spec
+
+
+def _integrated(
+    start: Tensor, velocity: Tensor, time: Tensor, low: Tensor, high: Tensor, lead: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Commands of the ticks ``(N, K, J)`` and the position at the end ``(N, J)`` [rad]."""
+    position = torch.clamp(start[:, None] + velocity[:, None] * time, low, high)
+    begin, end = position[:, :-1], position[:, 1:]  # of each tick, so that their distance over
+    # the tick is the slope: less than the velocity where the stop is met.
+    return torch.lerp(begin, end, lead), position[:, -1]
+
+
+class _VelocityOnRobot(OnRobot):
+    def __init__(self, made: JointVelocityTarget):
+        super().__init__(["joint_position"], ["target"], {"target": made.position[:1].clone()})
+        self.limit = float(made.limit)
+        low, high = made.range.unbind(-1)
+        lead = made.time_constant / made.tick
+        for name, value in {"low": low, "high": high, "lead": lead, "time": made.time}.items():
+            self.register_buffer(name, value.clone())
+
+    def observe(self, known: Known) -> None:
+        low, high = self.get_buffer("low"), self.get_buffer("high")
+        start = torch.clamp(seen(known, "joint_position"), low, high)
+        known["target"] = at_begin(known, start, known["state", "target"])
+
+    def act(self, known: Known) -> None:
+        velocity = known["action"].clamp(-1.0, 1.0) * self.limit
+        own = (self.get_buffer(name) for name in ("time", "low", "high", "lead"))
+        known["command"], known["next", "target"] = _integrated(known["target"], velocity, *own)

@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.on_robot import Known, OnRobot, at_begin, seen
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.estimation.steady import steady_update
 from zfall.envs.transforms.observations.measured import (
@@ -68,7 +69,7 @@ class JointVelocityKalmanFilter(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         angle = read_measured(next_tensordict, "joint_position")
-        self.state = torch.cat([self.state, angle[..., None]], -1) @ self.matrix
+        self.state = _updated(self.state, angle, self.matrix)
         return next_tensordict.set(("measured", "joint_velocity"), self.state[..., 1].clone())
 
     def _reset(
@@ -82,6 +83,10 @@ class JointVelocityKalmanFilter(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         base_env_of(self)
         return _declare_velocity(observation_spec, "JointVelocityKalmanFilter")
+
+    def on_robot(self) -> OnRobot:
+        """The same on a robot, which begins at rest."""
+        return _KalmanOnRobot(self.matrix, self.state[:1])
 
 
 class NumericalVelocity(Transform):
@@ -133,9 +138,44 @@ class NumericalVelocity(Transform):
         base_env_of(self)
         return _declare_velocity(observation_spec, "NumericalVelocity")
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot, which begins at rest."""
+        return _DifferenceOnRobot(self.previous[:1], self.control_dt)
+
 
 def _declare_velocity(spec: Composite, name: str) -> Composite:
     key = measured_key("joint_velocity")
     check_not_measured(spec, name, key)
     spec[key] = Unbounded(spec["joint_velocity"].shape)
     return spec
+
+
+def _updated(state: Tensor, angle: Tensor, matrix: Tensor) -> Tensor:
+    return torch.cat([state, angle[..., None]], -1) @ matrix
+
+
+class _KalmanOnRobot(OnRobot):
+    def __init__(self, matrix: Tensor, state: Tensor):
+        states = {"joint_velocity_filter": torch.zeros_like(state)}
+        super().__init__(["joint_position"], ["joint_velocity"], states)
+        self.register_buffer("matrix", matrix.clone())
+
+    def observe(self, known: Known) -> None:
+        angle, state = seen(known, "joint_position"), known["state", "joint_velocity_filter"]
+        start = torch.stack([angle, torch.zeros_like(angle)], -1)
+        state = at_begin(known, start, _updated(state, angle, self.get_buffer("matrix")))
+        known["measured", "joint_velocity"] = state[..., 1]
+        known["next", "joint_velocity_filter"] = state
+
+
+class _DifferenceOnRobot(OnRobot):
+    def __init__(self, previous: Tensor, control_dt: float):
+        states = {"last_joint_position": torch.zeros_like(previous)}
+        super().__init__(["joint_position"], ["joint_velocity"], states)
+        self.control_dt = control_dt
+
+    def observe(self, known: Known) -> None:
+        angle = seen(known, "joint_position")
+        previous = at_begin(known, angle, known["state", "last_joint_position"])
+        known["measured", "joint_velocity"] = (angle - previous) / self.control_dt
+        known["next", "last_joint_position"] = angle

@@ -12,6 +12,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.on_robot import Known, OnRobot, at_begin, seen
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.estimation.steady import steady_update
 from zfall.envs.transforms.observations.measured import (
@@ -105,11 +106,8 @@ class TiltKalmanFilter(Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         rate = read_measured(next_tensordict, "base_angular_velocity")[..., :2]
         angle = roll_and_pitch(read_measured(next_tensordict, "base_acceleration"))
-        # Of the angles that mean the same, the one next to the estimate.
-        turns = torch.round((angle - self.state[..., 0]) / (2.0 * torch.pi))
-        angle = angle - 2.0 * torch.pi * turns
-        known = torch.stack([*self.state.unbind(-1), (self.rate + rate) / 2.0, angle], -1)
-        self.state, self.rate = known @ self.matrix, rate.clone()
+        self.state = _updated(self.state, (self.rate + rate) / 2.0, angle, self.matrix)
+        self.rate = rate.clone()
         return self._write(next_tensordict)
 
     def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -135,6 +133,13 @@ class TiltKalmanFilter(Transform):
         self.rate = torch.where(rows, rate, self.rate)
         return self._write(tensordict_reset)
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot, which begins with the accelerometer's angles and no bias.
+
+        Its heading is not known: ``base_orientation`` is not among what it gives.
+        """
+        return _TiltOnRobot(self.matrix, [key for key in self.also if key != "base_orientation"])
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         base_env_of(self)
         for key in self.out_keys:
@@ -143,3 +148,32 @@ class TiltKalmanFilter(Transform):
             shape = observation_spec[key[1]].shape if follows else self.rate.shape
             observation_spec[key] = Unbounded(shape)
         return observation_spec
+
+
+def _updated(state: Tensor, rate: Tensor, angle: Tensor, matrix: Tensor) -> Tensor:
+    # Of the angles that mean the same, the one next to the estimate.
+    turns = torch.round((angle - state[..., 0]) / (2.0 * torch.pi))
+    angle = angle - 2.0 * torch.pi * turns
+    return torch.stack([*state.unbind(-1), rate, angle], -1) @ matrix
+
+
+class _TiltOnRobot(OnRobot):
+    def __init__(self, matrix: Tensor, also: Sequence[str]):
+        states = {"tilt_filter": torch.zeros(1, 2, 2), "last_rate": torch.zeros(1, 2)}
+        reads = ["base_acceleration", "base_angular_velocity"]
+        super().__init__(reads, ["tilt", "gyro_bias", *also], states)
+        self.register_buffer("matrix", matrix.clone())
+
+    def observe(self, known: Known) -> None:
+        rate = seen(known, "base_angular_velocity")[..., :2]
+        angle = roll_and_pitch(seen(known, "base_acceleration"))
+        state, last = known["state", "tilt_filter"], known["state", "last_rate"]
+        start = torch.stack([angle, torch.zeros_like(angle)], -1)
+        after = _updated(state, (last + rate) / 2.0, angle, self.get_buffer("matrix"))
+        state = at_begin(known, start, after)
+        known["next", "tilt_filter"], known["next", "last_rate"] = state, rate
+        tilt, bias = state.unbind(-1)
+        known["measured", "tilt"], known["measured", "gyro_bias"] = tilt, bias
+        level = torch.cat([tilt, torch.zeros_like(tilt[..., :1])], -1)
+        if "projected_gravity" in self.writes:
+            known["measured", "projected_gravity"] = -up_axis(from_angles(level))

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.on_robot import Derived, OnRobot
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.rotations import rotate_inverse, up_axis
@@ -68,6 +69,14 @@ class BasePose(Transform):
     ) -> TensorDictBase:
         return self._call(tensordict_reset)
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot that is given what it reads."""
+        functions = {
+            "base_height": lambda p, q: p[..., 2:],
+            "roll_pitch": lambda p, q: roll_pitch(q),
+        }
+        return Derived(self.in_keys, functions)
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         position, orientation = self.in_keys
         _declare(observation_spec, "base_height", (1,), [position])
@@ -100,6 +109,14 @@ class FeetInBase(Transform):
     ) -> TensorDictBase:
         return self._call(tensordict_reset)
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot that is given what it reads."""
+        functions = {
+            "feet_in_base": lambda *pose_force: feet_in_base(*pose_force[:3]),
+            "feet_load": lambda *pose_force: pose_force[3][..., 2],
+        }
+        return Derived(self.in_keys, functions)
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         *pose, force = self.in_keys
         _declare(observation_spec, "feet_in_base", (2, 3), pose)
@@ -128,6 +145,10 @@ class ImuOrientation(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         return self._call(tensordict_reset)
+
+    def on_robot(self) -> OnRobot:
+        """The same on a robot that is given what it reads."""
+        return Derived(self.in_keys, {"imu_orientation": positive_half})
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         return _declare(observation_spec, "imu_orientation", (4,), self.in_keys)

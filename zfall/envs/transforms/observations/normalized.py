@@ -1,18 +1,21 @@
 """Quantities in units of their ranges."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.on_robot import Known, OnRobot, lined_up
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.observations.vector import vector_size
 from zfall.values import Bounds, Keys, Name
+
+Affine = tuple[float | Tensor, float | Tensor]  # factor, summand
 
 
 class NormalizedVector(Transform):
@@ -52,7 +55,7 @@ class NormalizedVector(Transform):
         super().__init__(in_keys=self.keys, out_keys=[out_key])
         if len(onto) != 2 or onto[0] == onto[1]:
             raise ValueError(f"onto must be two different numbers, got {list(onto)}.")
-        self.affine: dict[str, tuple[float | Tensor, float | Tensor]] = {}  # factor, summand
+        self.affine: dict[NestedKey, Affine] = {}
         for name, bounds in ranges.items():
             if name not in self.keys:
                 raise ValueError(f"ranges must name quantities of keys, got {name}.")
@@ -71,10 +74,7 @@ class NormalizedVector(Transform):
         values = []
         for key in self.keys:
             value = read_measured(next_tensordict, key).flatten(next_tensordict.ndim)
-            if key in self.affine:
-                factor, summand = self.affine[key]
-                value = value * factor + summand
-            values.append(value)
+            values.append(_scaled(value, self.affine.get(key)))
         return next_tensordict.set(self.out_keys[0], torch.cat(values, -1))
 
     def _reset(
@@ -82,7 +82,31 @@ class NormalizedVector(Transform):
     ) -> TensorDictBase:
         return self._call(tensordict_reset)
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot."""
+        return _NormalizedOnRobot(self.keys, self.out_keys, self.affine)
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         size = vector_size(observation_spec, self.keys)
         observation_spec[self.out_keys[0]] = Unbounded((*observation_spec.shape, size))
         return observation_spec
+
+
+def _scaled(value: Tensor, affine: Affine | None) -> Tensor:
+    return value if affine is None else value * affine[0] + affine[1]
+
+
+class _NormalizedOnRobot(OnRobot):
+    def __init__(
+        self,
+        reads: Sequence[NestedKey],
+        writes: Sequence[NestedKey],
+        affine: Mapping[NestedKey, Affine],
+    ):
+        super().__init__(reads, writes)
+        self.affine = dict(affine)
+
+    def observe(self, known: Known) -> None:
+        values = zip(self.reads, lined_up(known, self.reads), strict=True)
+        scaled = [_scaled(value, self.affine.get(key)) for key, value in values]
+        known[self.writes[0]] = torch.cat(scaled, -1)

@@ -4,6 +4,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.on_robot import Derived, OnRobot
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
 from zfall.rotations import roll_and_pitch
@@ -39,6 +40,10 @@ class TiltAngles(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         return self._call(tensordict_reset)
+
+    def on_robot(self) -> OnRobot:
+        """The same on a robot whose IMU gives the direction of gravity."""
+        return Derived(self.in_keys, {"tilt": lambda gravity: roll_and_pitch(-gravity)})
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         if measured_key("tilt") in observation_spec.keys(True):

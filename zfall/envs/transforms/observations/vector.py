@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.on_robot import Known, OnRobot, lined_up
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.values import Keys, Name
@@ -48,6 +49,10 @@ class ObservationVector(Transform):
     ) -> TensorDictBase:
         return self._call(tensordict_reset)
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot, which knows no other values than those that it measures."""
+        return _VectorOnRobot(self.keys, self.out_keys)
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         size = vector_size(observation_spec, self.keys)
         observation_spec[self.out_keys[0]] = Unbounded((*observation_spec.shape, size))
@@ -79,3 +84,8 @@ def vector_spans(spec: Composite | TensorDictBase, keys: Sequence[NestedKey]) ->
         spans[key if isinstance(key, str) else "/".join(key)] = slice(begin, end)
         begin = end
     return spans
+
+
+class _VectorOnRobot(OnRobot):
+    def observe(self, known: Known) -> None:
+        known[self.writes[0]] = torch.cat(lined_up(known, self.reads), -1)

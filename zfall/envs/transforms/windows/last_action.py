@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from typing import ClassVar
 
+import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from zfall.envs.on_robot import Known, OnRobot
 from zfall.envs.transforms.base_env import needs_steps
 
 
@@ -34,6 +36,10 @@ class LastAction(Transform):
     ) -> TensorDictBase:
         return tensordict_reset.set("last_action", self.parent.full_action_spec["action"].zero())
 
+    def on_robot(self) -> OnRobot:
+        """The same on a robot."""
+        return _LastActionOnRobot(self.parent.full_action_spec["action"].shape[-1])
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         actions = self.parent.full_action_spec
         if "action" not in actions.keys():
@@ -44,3 +50,14 @@ class LastAction(Transform):
         # Policies may go beyond the bounds of an action, where it does what the bound does.
         observation_spec["last_action"] = Unbounded(actions["action"].shape)
         return observation_spec
+
+
+class _LastActionOnRobot(OnRobot):
+    def __init__(self, joints: int):
+        super().__init__([], ["last_action"], {"last_action": torch.zeros(1, joints)})
+
+    def observe(self, known: Known) -> None:
+        known["last_action"] = known["state", "last_action"]
+
+    def act(self, known: Known) -> None:
+        known["next", "last_action"] = known["action"]

@@ -1,0 +1,121 @@
+"""An exported policy drives the simulated robot, and a broken one stops it."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.shell import run
+from zfall.deployment import Settings, SimulatedBus, drive
+from zfall.deployment.bus import to_angle, to_steps
+from zfall.deployment.dry_run import compare
+from zfall.deployment.log import Log
+from zfall.deployment.loop import Stopped
+from zfall.deployment.simulated import pushed
+from zfall.evaluation.candidate import load_candidate
+from zfall.evaluation.definitions import load_battery
+from zfall.evaluation.statistics import wilson
+from zfall.policies.exported import ExportedPolicy
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The policy ``twin``, exported."""
+    pytest.importorskip("onnxruntime")
+    path = tmp_path_factory.mktemp("twin")
+    done = run("export", "run=twin", f"hydra.run.dir={path}")
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def test_a_dry_run_passes_the_pushes_that_the_fast_path_passes(folder):
+    """Six trials of battery twin, of which the fast path stands most: within its interval."""
+    own = load_candidate("twin")
+    battery = load_battery("twin", starts=1, directions=3, impulses=[0.2])
+    bus = SimulatedBus(battery, own.env_cfg, realtime=False)
+    table = compare(ExportedPolicy(folder), bus, own.env_cfg, own.actor)
+    low, high = wilson(int(table["recovered_in_zfall"].sum()), len(table))
+    assert low <= table["recovered"].mean() <= high
+    assert table["recovered"].mean() >= 0.5
+
+
+def test_a_cut_cable_stops_the_robot_within_the_watchdog(folder, tmp_path):
+    """Cut after 1.5 s; 50 ms without answers, a step of 40 ms and a retry of 5 ms later it ends."""
+    out = tmp_path / "out"
+    done = run("drive", f"policy={folder}", "seconds=3", "cut=1.5", "realtime=false",
+               f"hydra.run.dir={out}")  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: stopped, servos hold: no answer of 20 of 20 servos")
+    assert "jitter" in done.stdout
+    table = pd.read_csv(out / "drive.csv")
+    last = table.iloc[-1]
+    assert last["event"].startswith("stopped, servos hold: no answer")
+    assert 1.5 < last["time_s"] <= 1.5 + 0.05 + 0.04 + 0.005
+
+
+def test_limp_switches_the_torque_off_and_hot_servos_stop(folder):
+    own = load_candidate("twin")
+    bus = SimulatedBus(load_battery("twin", starts=1), own.env_cfg, realtime=False)
+    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
+    log = Log(None, bus.joints)
+    settings = Settings(hottest=20.0, stop="limp", settle=0.04)
+    with pytest.raises(Stopped, match="has 25 degrees Celsius, at most 20"):
+        drive(ExportedPolicy(folder), bus, seconds=1.0, log=log, settings=settings)
+    assert float(bus.base.parameters.values["servo_torque_limit"].abs().max()) == 0.0
+    assert len(log.events) == 1
+
+
+def test_encoder_steps_and_angles_go_round():
+    assert [to_steps(x) for x in (0.0, np.pi / 2, -np.pi / 2, 9.0, -9.0)] == [
+        2048,
+        3072,
+        1024,
+        4095,
+        0,
+    ]
+    assert to_angle(3072) == pytest.approx(np.pi / 2)
+
+
+def test_a_robot_that_is_another_is_refused_in_one_line(folder, tmp_path):
+    other = json.loads((folder / "policy.json").read_text())
+    (tmp_path / "policy.onnx").write_bytes((folder / "policy.onnx").read_bytes())
+    for change, message in (
+        ({"joints": other["joints"][:19]}, "must command 1 ticks of 19 joints"),
+        ({"robot": "other"}, "policy must be of the robot on the bus"),
+        ({"format": 1}, "must be what this zfall exports, format 2, got format 1"),
+    ):
+        (tmp_path / "policy.json").write_text(json.dumps(other | change))
+        done = run(
+            "drive",
+            f"policy={tmp_path}",
+            "seconds=1",
+            "realtime=false",
+            f"hydra.run.dir={tmp_path}/out",
+        )
+        assert done.returncode == 1
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["policy=nowhere"], "policy must be a folder with policy.json, got nowhere"),
+        (["bus=serial"], "bus must be one of twin, nominal, or a table"),
+        (["settings.acceleration=255"], "settings.acceleration must be 0 to 254"),
+        (["settings.acceleration=20"], "acceleration must be 0 on a simulated bus, got 20"),
+    ],
+)
+def test_bad_input_is_one_line(folder, tmp_path, words, message):
+    done = run(
+        "drive",
+        f"policy={folder}",
+        *words,
+        "seconds=1",
+        "realtime=false",
+        f"hydra.run.dir={tmp_path}/out",
+    )
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
