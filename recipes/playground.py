@@ -63,7 +63,8 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.candidate import load_candidate
         from zfall.evaluation.definitions import load_battery
         from zfall.policies.export import describe, export
-        from zfall.policies.webpage import check_observable, describe_robot, robot_mjcf
+        from zfall.policies.on_robot import RobotPolicy
+        from zfall.policies.webpage import check_measurable, describe_robot, robot_mjcf
 
         policy = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
         if policy.actor is None:
@@ -71,13 +72,16 @@ def main(cfg: DictConfig) -> None:
         battery = load_battery("planar")
         env, _, _ = battery_env(battery, policy.env_cfg, 1)
         mjcf, robot = robot_mjcf(env.base_env), describe_robot(env.base_env)
-        about = describe(env, policy.actor, policy.env_cfg)
-        check_observable(about)
+        robot_policy = RobotPolicy(env, policy.actor)
+        about = describe(env, robot_policy, policy.env_cfg)
+        check_measurable(about)
         libraries = fetch_libraries()
         copy_page(out, libraries)
-        export(policy.actor, out / "policy.onnx", size=about["observation_size"])
+        inputs, outputs = robot_policy.inputs, robot_policy.outputs
+        export(robot_policy, out / "policy.onnx", inputs=inputs, outputs=outputs)
     standing = {"max_tilt_rad": battery.max_tilt, "min_height": battery.min_height}
     about |= {"policy": policy.label, "checkpoint": cfg.checkpoint}
+    about |= {"physics_dt_s": env.base_env.physics_dt}
     (out / "robot.xml").write_text(mjcf)
     write_json(out / "policy.json", about)
     write_json(out / "robot.json", robot | {"standing": standing})

@@ -23,8 +23,8 @@ export async function load() {
   ort.env.wasm.wasmPaths = new URL("../vendor/onnxruntime/", import.meta.url).href;
   const world = new World(mujoco, mjcf, robot, about);
   const policy = await Policy.load(ort, new Uint8Array(bytes), about);
-  const action = await policy.act(world.observation).catch(() => null);
-  if (action?.length !== robot.joints.length)
+  const targets = await policy.act((name) => world.read(name)).catch(() => null);
+  if (targets?.length !== about.ticks * robot.joints.length)
     throw new Error(`The network policy.onnx does not fit policy.json: it is of another robot than ${robot.robot}.`);
   policy.reset();
   return { world, policy };

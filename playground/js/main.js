@@ -125,9 +125,9 @@ class Page {
     this.clock = Math.max(this.clock, now / 1000 - world.time - LATEST);
     while (this.running && this.clock !== null && world.time < now / 1000 - this.clock) {
       if (world.substep === 0) {
-        const action = await policy.act(world.observation);
+        const targets = await policy.act((name) => world.read(name));
         if (!this.running || this.clock === null) return; // put up again meanwhile
-        world.act(action);
+        world.act(targets);
       }
       world.advance();
     }

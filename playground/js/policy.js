@@ -1,4 +1,7 @@
-// The exported network with its memories.
+// The exported policy: from what sensors measure and its states to the targets of the servos.
+
+// Shape of nested lists, and their numbers in a row.
+const shapeOf = (value) => (Array.isArray(value) ? [value.length, ...shapeOf(value[0])] : []);
 
 export class Policy {
   // ort: onnxruntime-web; session: of policy.onnx; about: content of policy.json.
@@ -13,19 +16,24 @@ export class Policy {
   }
 
   reset() {
-    this.memories = Object.fromEntries(
-      Object.entries(this.about.memories).map(([name, shape]) => {
-        const size = shape.reduce((product, n) => product * n, 1);
-        return [name, new this.ort.Tensor("float32", new Float32Array(size), shape)];
-      }),
+    this.states = Object.fromEntries(
+      Object.entries(this.about.states).map(([name, start]) => [name, this._tensor([start].flat(Infinity), shapeOf(start))]),
     );
+    this.begin = true;
   }
 
-  async act(observation) {
-    const { memories } = this; // others after a reset meanwhile
-    const input = new this.ort.Tensor("float32", observation, [1, observation.length]);
-    const out = await this.session.run({ observation: input, ...memories });
-    for (const name of Object.keys(memories)) memories[name] = out[`next_${name}`];
-    return out.action.data;
+  // The targets of the K ticks of a control step, one after the other [rad]; read: a sensor by its name.
+  async act(read) {
+    const { states, begin } = this; // others after a reset meanwhile
+    const sensors = this.about.sensors.map(({ name, size }) => [name, this._tensor(read(name), [1, size])]);
+    this.begin = false;
+    const inputs = { begin: this._tensor([Number(begin)], [1, 1]), ...Object.fromEntries(sensors), ...states };
+    const out = await this.session.run(inputs);
+    for (const name of Object.keys(states)) states[name] = out[`next_${name}`];
+    return out.command.data;
+  }
+
+  _tensor(values, shape) {
+    return new this.ort.Tensor("float32", Float32Array.from(values), shape);
   }
 }

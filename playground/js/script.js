@@ -33,7 +33,7 @@ export class Script {
       for (const push of pushes) world.push(push);
       const steps = Math.round(seconds / world.about.control_dt_s);
       for (let step = 0; step < steps; step++) {
-        world.act(await policy.act(world.observation));
+        world.act(await policy.act((name) => world.read(name)));
         for (let s = 0; s < world.substeps; s++) world.advance();
         if (record) states.push(Array.from(world.data.qpos));
       }

@@ -78,10 +78,8 @@ export class World {
     }
     mujoco.mj_forward(model, data);
     this.start = at.qpos.map((place) => float32(data.qpos[place])); // commands before the first
-    this.commands = []; // targets of the control steps
+    this.commands = []; // targets of the ticks of the control steps
     this.forgotten = 0; // of them, from the first
-    this.target = this.reference;
-    this.action = this.reference.map(() => 0);
     this.pushes = new Pushes(this.dt, this.substeps);
     Object.assign(this, { time: 0, substep: 0, fell: false, fallTime: null });
   }
@@ -99,16 +97,12 @@ export class World {
     return newtons;
   }
 
-  // Gives the servos the targets of an action; to be called before the first of S sub-steps.
-  act(action) {
-    const { about } = this;
-    const scale = float32(about.scale_rad);
-    this.action = Array.from(action);
-    this.target = this.action.map((value, j) => {
-      const target = float32(this.reference[j] + float32(scale * value));
-      return Math.min(Math.max(target, float32(about.low_rad[j])), float32(about.high_rad[j]));
-    });
-    this.commands.push(this.target);
+  // Gives the servos the targets of the ticks of a control step [rad], one after the other; to be called before the first of S
+  // sub-steps.
+  act(targets) {
+    const joints = this.reference.length;
+    const ticks = Array.from({ length: targets.length / joints }, (_, k) => Array.from(targets.slice(k * joints, (k + 1) * joints)));
+    this.commands.push(ticks);
     if (this.commands.length > 2 * KEPT) this.forgotten += this.commands.splice(0, KEPT).length;
     this.data.qacc_warmstart.fill(0); // as in Python: a step depends on the state alone
   }
@@ -117,8 +111,10 @@ export class World {
   advance() {
     const { mujoco, model, data } = this;
     const newest = this.forgotten + this.commands.length - 1;
-    const step = Math.floor((newest * this.substeps + this.substep - this.lag) / this.substeps);
-    const command = step < 0 ? this.start : this.commands[step - this.forgotten];
+    const since = newest * this.substeps + this.substep - this.lag;
+    const step = Math.floor(since / this.substeps);
+    const ticks = step < 0 ? [this.start] : this.commands[step - this.forgotten];
+    const command = ticks[Math.floor(((since - step * this.substeps) * ticks.length) / this.substeps)];
     this.at.ctrl.forEach((actuator, j) => (data.ctrl[actuator] = command[j]));
     data.xfrc_applied.fill(0);
     for (const { body, force, arm } of this.pushes.acting(this.substep)) {
@@ -140,10 +136,6 @@ export class World {
     return !this.fell && upright && this.sensor("com_position")[2] > height * this.robot.com_height_m;
   }
 
-  get observation() {
-    return Float32Array.from(this.about.observation.flatMap((part) => this.read(part.name)));
-  }
-
   sensor(name) {
     return Array.from(this.data.sensordata.slice(...this.sensors[name]));
   }
@@ -162,8 +154,6 @@ export class World {
       case "base_angular_velocity": return Array.from(qvel.slice(3, 6));
       case "joint_position": return this.at.qpos.map((place) => qpos[place]);
       case "joint_velocity": return this.at.qvel.map((place) => qvel[place]);
-      case "target": return this.target;
-      case "last_action": return this.action;
       case "command": return [0, 0, 0, 0, 0, 0];
       case "feet_contact": return contacts.map((contact) => (contact[0] > 0 ? 1 : 0));
       case "feet_force": return contacts.flatMap((contact) => contact.slice(1, 4).map((x) => -x));
@@ -174,7 +164,7 @@ export class World {
       case "com_velocity":
       case "angular_momentum": return this.sensor(name);
     }
-    throw new Error(`The policy observes ${name}, which this page does not know.`);
+    throw new Error(`The policy reads ${name}, which this page does not know.`);
   }
 
   _touched() {

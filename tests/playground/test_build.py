@@ -9,7 +9,7 @@ import pytest
 from recipes.playground import SOURCES
 from tests.shell import run
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.policies.webpage import OBSERVABLE, check_observable, describe_robot, robot_mjcf
+from zfall.policies.webpage import MEASURABLE, check_measurable, describe_robot, robot_mjcf
 from zfall.robots.servos import SERVOS
 
 
@@ -42,15 +42,15 @@ def test_a_fall_is_a_force_on_any_region_but_the_feet(make_base):
     assert not [name for name in falls if "foot" in name]
 
 
-def test_the_script_of_the_page_reads_every_quantity_that_a_policy_may_observe():
+def test_the_script_of_the_page_reads_every_sensor_that_a_policy_may_read():
     text = (SOURCES / "js" / "world.js").read_text()
-    assert sorted(re.findall(r'case "(\w+)":', text)) == sorted(OBSERVABLE)
+    assert sorted(re.findall(r'case "(\w+)":', text)) == sorted(MEASURABLE)
 
 
-def test_what_the_page_cannot_observe_is_refused_by_name():
-    check_observable({"observation": [{"name": "joint_position"}]})
-    with pytest.raises(ValueError, match=r"^run must observe .* got joint_torque\.$"):
-        check_observable({"observation": [{"name": "joint_torque"}]})
+def test_what_the_page_cannot_measure_is_refused_by_name():
+    check_measurable({"sensors": [{"name": "joint_position"}]})
+    with pytest.raises(ValueError, match=r"^run must read .* got joint_torque\.$"):
+        check_measurable({"sensors": [{"name": "joint_torque"}]})
 
 
 def test_servos_that_feel_load_are_refused_with_the_repair(make_base):

@@ -15,10 +15,10 @@ from zfall.simulation.model import (
     push_point_bodies,
 )
 
-# What playground/world.js can observe.
-OBSERVABLE = (
+# What playground/world.js can measure.
+MEASURABLE = (
     *("projected_gravity", "base_position", "base_orientation", "base_linear_velocity"),
-    *("base_angular_velocity", "joint_position", "joint_velocity", "target", "last_action"),
+    *("base_angular_velocity", "joint_position", "joint_velocity"),
     *("com_position", "com_velocity", "angular_momentum", "feet_position", "feet_velocity"),
     *("feet_orientation", "feet_force", "feet_contact", "imu_orientation", "command"),
 )
@@ -84,8 +84,8 @@ def describe_robot(env: HumanoidEnv) -> dict[str, Any]:
     }
 
 
-def check_observable(about: Mapping[str, Any]) -> None:
-    """Refuses a policy that observes what the page does not know.
+def check_measurable(about: Mapping[str, Any]) -> None:
+    """Refuses a policy that reads what the page does not measure.
 
     Args:
         about: content of ``policy.json``.
@@ -93,8 +93,9 @@ def check_observable(about: Mapping[str, Any]) -> None:
     Raises:
         ValueError: naming it.
     """
-    for part in about["observation"]:
-        if part["name"] not in OBSERVABLE:
+    for sensor in about["sensors"]:
+        if sensor["name"] not in MEASURABLE:
             raise ValueError(
-                f"run must observe what the page can: {', '.join(OBSERVABLE)}; got {part['name']}."
+                f"run must read what the page measures: {', '.join(MEASURABLE)}; "
+                f"got {sensor['name']}."
             )
