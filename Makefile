@@ -36,6 +36,7 @@ lint: $(READY)
 
 docs: $(READY)
 	$(RUN) -m mkdocs build --strict $(ARGS)
+	@if [ -f build/playground/robot.json ]; then cp -r build/playground site/playground; fi
 
 bench: $(READY)
 	$(RUN) -m recipes.bench $(ARGS)

@@ -128,8 +128,8 @@ class SimulatedBus:
                 )
         if register is registers.ACCELERATION and any(values.values()):
             raise ValueError(
-                f"acceleration must be 0 on a simulated bus, got {max(values.values())}: "
-                "battery=twin_ramp39 is the twin with a ramp."
+                "settings.acceleration must be 0 on a simulated bus, got "
+                f"{max(values.values())}: recipes.evaluate battery=twin_ramp39 has a ramp."
             )
         if self.cut:
             return
