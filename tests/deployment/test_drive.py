@@ -66,6 +66,49 @@ def test_limp_switches_the_torque_off_and_hot_servos_stop(folder):
     assert len(log.events) == 1
 
 
+@pytest.fixture
+def bus():
+    """The twin at rest, in simulated time."""
+    own = load_candidate("twin")
+    bus = SimulatedBus(load_battery("twin", starts=1), own.env_cfg, realtime=False)
+    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
+    return bus
+
+
+def test_a_sensor_that_gives_no_number_stops_the_robot(folder, bus, monkeypatch):
+    sense = bus.sense
+
+    def broken():
+        gyro = np.full(3, np.nan if bus.now() > 0.5 else 0.0, np.float32)
+        return {**sense(), "base_angular_velocity": gyro}
+
+    monkeypatch.setattr(bus, "sense", broken)
+    log = Log(None, bus.joints)
+    with pytest.raises(Stopped, match="base_angular_velocity"):
+        drive(ExportedPolicy(folder), bus, seconds=1.0, log=log, settings=Settings(settle=0.04))
+    assert bus.now() == pytest.approx(0.52)  # the first step of 40 ms after it
+
+
+def test_control_steps_begin_where_the_simulated_robot_measures(folder, bus):
+    """Opened 20 ms late, its first step of 40 ms begins at 40 ms, and each after it in time."""
+    bus.wait_until(0.02)
+    log = Log(None, bus.joints)
+    drive(ExportedPolicy(folder), bus, seconds=0.4, log=log, settings=Settings(settle=0.04))
+    times = np.array([row["time_s"] for row in log.steps])
+    np.testing.assert_allclose(times / 0.04, np.round(times / 0.04), atol=1e-6)
+    assert times[0] == pytest.approx(0.08)  # after the step that settles
+
+
+def test_a_drive_that_is_over_before_the_policy_acts_is_refused(folder, bus):
+    with pytest.raises(ValueError, match=r"seconds must be above settings\.settle"):
+        drive(ExportedPolicy(folder), bus, seconds=1.0, log=Log(None, bus.joints))
+
+
+def test_a_policy_is_not_run_without_what_it_reads(folder):
+    with pytest.raises(ValueError, match="sensors must have"):
+        ExportedPolicy(folder).step({"joint_position": np.zeros(20)})
+
+
 def test_encoder_steps_and_angles_go_round():
     assert [to_steps(x) for x in (0.0, np.pi / 2, -np.pi / 2, 9.0, -9.0)] == [
         2048,
@@ -89,7 +132,7 @@ def test_a_robot_that_is_another_is_refused_in_one_line(folder, tmp_path):
         done = run(
             "drive",
             f"policy={tmp_path}",
-            "seconds=1",
+            "seconds=2",
             "realtime=false",
             f"hydra.run.dir={tmp_path}/out",
         )
@@ -112,7 +155,7 @@ def test_bad_input_is_one_line(folder, tmp_path, words, message):
         "drive",
         f"policy={folder}",
         *words,
-        "seconds=1",
+        "seconds=2",
         "realtime=false",
         f"hydra.run.dir={tmp_path}/out",
     )

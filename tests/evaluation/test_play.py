@@ -10,7 +10,7 @@ from zfall.envs.make import make_env
 from zfall.envs.tables import keep
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.play import side_pushes, walk
+from zfall.evaluation.play import said, side_pushes, walk
 
 
 def test_speed_and_distance_are_those_of_a_flight(make_base):
@@ -61,3 +61,17 @@ def test_pushes_come_from_the_four_sides_in_turn(make_base):
     env.append_transform(push)
     with pytest.raises(ValueError, match="pushes"):
         side_pushes(env, [0.5], 10.0)
+
+
+def test_a_film_says_stays_up_only_of_who_does():
+    assert said(math.nan, 10.0) == [(8.5, "stays up", True)]
+    assert said(3.2, 10.0) == [(3.2, "fell after 3.2 s", False)]
+    assert said(5.0, 10.0, ended=3.0) == [(3.0, "task ended after 3.0 s", False)]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "seconds", "key"), [([], 10.0, "pushes"), ([0.2, 0.4], 5.0, "seconds")]
+)
+def test_pushes_that_would_not_come_are_refused(make_base, sizes, seconds, key):
+    with pytest.raises(ValueError, match=f"^{key} must"):
+        side_pushes(make_env(make_base(num_envs=4), {}), sizes, seconds)

@@ -128,7 +128,8 @@ def test_of_one_that_always_steps_only_the_steps_beyond_its_usual_ones_are_the_p
     assert list(table["side"]) == ["no push", "forward"]
     assert list(table["stepping"]) == [1.0, 0.5]
     assert list(table["hip"]) == [0.0, 0.25]  # 0.22 is more than usual, but not above the bound
-    assert list(table["ankle"]) == [0.0, 0.5]
+    assert list(table["ankle"]) == [0.0, 0.0]
+    assert table["as_usual"].iloc[1] == 0.5
     assert list(table["recovered"]) == [4, 4]
 
 
@@ -144,6 +145,26 @@ def test_fallen_control_trials_tell_nothing():
     control = trials({"steps": [50, 0]}, impulse=0.0).assign(recovered=[False, True])
     table = strategy_table(pd.concat([control, trials({"steps": [2]}, impulse=0.4)]))
     assert list(table["stepping"]) == [0.0, 1.0]
+
+
+def test_one_in_twenty_of_the_control_trials_may_be_unusual():
+    """19 of 20 took at most 3 steps, so that 4 are more than usual and 3 are not."""
+    control = trials({"steps": [3.0] * 19 + [9.0]}, impulse=0.0)
+    table = strategy_table(pd.concat([control, trials({"steps": [3, 4, 9, 10]}, impulse=0.4)]))
+    assert table["stepping"].iloc[1] == 0.75
+
+
+def test_without_a_control_trial_that_recovered_nothing_is_claimed():
+    control = trials({"steps": [5]}, impulse=0.0).assign(recovered=False)
+    table = strategy_table(pd.concat([control, trials({"steps": [9]}, impulse=0.4)]))
+    assert list(table["side"]) == ["forward"]
+    assert table[["stepping", "as_usual"]].isna().all(axis=None)
+
+
+def test_trials_of_before_the_amounts_claim_nothing():
+    old = trials({"steps": [5, 6]}, impulse=0.0).drop(columns="hip_rad")
+    new = trials({"steps": [9]}, impulse=0.4)
+    assert "stepping" not in strategy_table(pd.concat([old, new]))
 
 
 def test_amounts_are_the_largest_and_times_until_the_fall(make_base):

@@ -64,3 +64,13 @@ def test_an_outcome_is_said_from_its_time_on():
     said = [(1.0, "fell", False)]
     assert outcome_at(said, 0.9) is None
     assert outcome_at(said, 1.0) == ("fell", False)
+
+
+def test_a_robot_that_lies_faces_where_it_did_before():
+    """Upright it faces left, 90 degrees; then it lies on its back, pitched by 100 degrees."""
+    yaw, pitch = math.pi / 4, math.radians(50)  # halves of the angles
+    upright = [math.cos(yaw), 0.0, 0.0, math.sin(yaw)]
+    lying = [math.cos(pitch), 0.0, math.sin(pitch), 0.0]  # of a yaw of 180 degrees by its formula
+    states = np.zeros((3, 27))
+    states[:, 3:7] = [upright, lying, upright]
+    np.testing.assert_allclose(video._headings(states), math.pi / 2, atol=1e-12)

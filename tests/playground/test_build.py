@@ -19,7 +19,7 @@ def servos(base: HumanoidEnv) -> dict:
 
 
 def test_the_mjcf_with_its_fields_is_the_model_of_the_env(make_base):
-    """Loaded from text it moves as the env's, bit for bit, over half a second of falling."""
+    """Loaded from text it moves as the env's, to 1e-9, over half a second of falling."""
     env = make_base(servos=servos(make_base()))
     model = mujoco.MjModel.from_xml_string(robot_mjcf(env))
     for name, values in describe_robot(env)["fields"].items():

@@ -10,7 +10,7 @@ from zfall import checkpoint
 from zfall.configs import compose_config
 from zfall.training.learner import Learner
 from zfall.training.run_folder import RunFolder
-from zfall.training.stages import stages_of, written_out
+from zfall.training.stages import check_lengths, stages_of, written_out
 
 BASE = {
     "seed": 1,
@@ -106,6 +106,18 @@ def test_a_stage_that_is_null_is_left_out():
     assert (one.name, three.name, three.number, three.begins_with) == ("one", "three", 2, "one")
     with pytest.raises(ValueError, match=r"stages.*null.*one, two"):
         stages_of(OmegaConf.create({**BASE, "stages": {"one": None, "two": None}}))
+
+
+@pytest.mark.parametrize(
+    ("given", "reached"),
+    [("+stages.a.total_frames=30", 1), ("+stages.b.total_frames=30", 2), ("total_frames=7", 1)],
+)
+def test_a_stage_that_is_left_out_has_no_length_and_no_number(given, reached):
+    """b is the first stage and c the second, and each has its own length."""
+    cfg = "stages: {a: null, b: {total_frames: 10}, c: {total_frames: 20}}"
+    with pytest.raises(ValueError, match="must be"):
+        check_lengths(cfg, [given], reached)
+    check_lengths(cfg, ["+stages.c.total_frames=30"], 2)
 
 
 @pytest.mark.parametrize("name", ["../a", "a.b", "best", "", 3])

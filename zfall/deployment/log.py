@@ -17,7 +17,7 @@ class Log:
     """Writes ``drive.csv`` row by row, so that it is there whatever happens.
 
     Columns: ``time_s``; ``late_s``, by how much the step began after its time; ``latency_s``, from
-    the first reading to the last target sent; ``network_s``, the network's share of it;
+    the first reading to the targets of the first tick; ``network_s``, the network's share of it;
     ``temperature_c`` of ``joint``, another one in each step; ``clipped``, targets that were cut
     off at the joint limits; ``event``; and of each joint ``position/JOINT`` and ``target/JOINT``
     [rad].

@@ -1,5 +1,6 @@
 """The loop: sensors, network, targets, at the rate of the policy."""
 
+import math
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -95,11 +96,16 @@ def drive(
         over: ends the drive before, if true after a step.
 
     Raises:
-        Stopped: if a servo did not answer for too long, is too hot, or the network gave a target
-            that is no number; the robot has been stopped, and the log says so.
-        ValueError: if policy and robot do not fit.
+        Stopped: if a servo did not answer for too long, is too hot, or a sensor or a target is no
+            number; the robot has been stopped, and the log says so.
+        ValueError: if policy and robot do not fit, or the policy would never act.
     """
     check_fit(policy, bus)
+    if seconds <= settings.settle:
+        raise ValueError(
+            f"seconds must be above settings.settle, {settings.settle:g}, before which the policy "
+            f"does not act, got {seconds:g}."
+        )
     policy.reset()
     _Drive(policy, bus, log, settings).run(seconds, over)
 
@@ -117,9 +123,11 @@ class _Drive:
         self.watched = cycle(self.joints)  # one temperature in each step
 
     def run(self, seconds: float, over: Callable[[], bool]) -> None:
-        self.start()
-        begin = self.bus.now()
         try:
+            self.start()
+            # Control steps begin at multiples of their length: a simulated robot measures there.
+            begin = math.ceil(self.bus.now() / self.dt - 1e-9) * self.dt
+            self.bus.wait_until(begin)
             still = round(self.settings.settle / self.dt)
             pose = np.array(list(self.read_positions().values()))
             for step in range(round(seconds / self.dt)):
@@ -128,19 +136,18 @@ class _Drive:
                 if step < still:
                     self.read_positions()  # for the watchdog
                     share = min(1.0, 2.0 * (step + 1) / still)
-                    self.send((1.0 - share) * pose + share * self.reference)
+                    target = (1.0 - share) * pose + share * self.reference
+                    self.send(np.clip(target, self.low, self.high))
                     continue
                 self.step(due)
                 if over():
                     break
             self.bus.wait_until(begin + seconds if not over() else self.bus.now())
-        except Stopped as stopped:
+        except (Stopped, KeyboardInterrupt, Exception) as error:
             if self.settings.stop == "limp":
                 self.write(registers.TORQUE_ENABLE, 0)
-            self.log.event(self.bus.now(), f"stopped, servos {self.settings.stop}: {stopped}")
-            raise
-        except KeyboardInterrupt:
-            self.log.event(self.bus.now(), "stopped by hand, servos hold")
+            why = str(error) or ("by hand" if isinstance(error, KeyboardInterrupt) else repr(error))
+            self.log.event(self.bus.now(), f"stopped, servos {self.settings.stop}: {why}")
             raise
 
     def start(self) -> None:
@@ -166,8 +173,10 @@ class _Drive:
         Raises:
             Stopped: after ``watchdog`` seconds without an answer.
         """
+        found: dict[str, int] = {}
         while True:
-            found = self.bus.read(registers.PRESENT_POSITION, self.joints)
+            missing = [joint for joint in self.joints if joint not in found]
+            found |= self.bus.read(registers.PRESENT_POSITION, missing)
             silent = [joint for joint in self.joints if joint not in found]
             if not silent:
                 self.answered = self.bus.now()
@@ -186,9 +195,12 @@ class _Drive:
         angles = np.array(list(positions.values()))
         sensors: Mapping[str, NDArray[np.float32]] = self.bus.sense()
         network = clock.perf_counter()
-        _, command = self.policy.step({**sensors, "joint_position": angles})
+        for name, value in sensors.items():
+            if not np.isfinite(value).all():
+                raise Stopped(f"the robot measured a {name} that is no number")
+        action, command = self.policy.step({**sensors, "joint_position": angles})
         network = clock.perf_counter() - network
-        if not np.isfinite(command).all():
+        if not (np.isfinite(action).all() and np.isfinite(command).all()):
             raise Stopped("the network gave a target that is no number")
         targets = np.clip(command, self.low, self.high)
         self.send(targets[0])

@@ -57,12 +57,17 @@ def side_pushes(env: TransformedEnv, sizes: Sequence[float], seconds: float) -> 
         seconds: length of the episode [s].
 
     Raises:
-        ValueError: if the task pushes by itself, or no push begins in time.
+        ValueError: if the task pushes by itself, without sizes, or if the last comes too late.
     """
     if ("push", "force") in env.observation_spec.keys(True):
         raise ValueError("pushes must be null where keep leaves a push of the task on.")
-    if seconds <= FIRST:
-        raise ValueError(f"seconds must be above {FIRST:g}, when a push comes, got {seconds}.")
+    if not sizes:
+        raise ValueError("pushes must hold at least one size, got [].")
+    last = FIRST + APART * (len(sizes) - 1)
+    if seconds <= last:
+        raise ValueError(
+            f"seconds must be above {last:g}, when the last of pushes comes, got {seconds}."
+        )
     base = env.base_env
     if len(sizes) == 1:
         sizes = list(sizes) * math.ceil((seconds - FIRST) / APART)
@@ -103,6 +108,7 @@ def walk(
     steps, every = round(seconds / base.control_dt), round(frame(base) / base.control_dt)
     up = torch.ones(env.num_envs, dtype=torch.bool)
     fell, fall_time = ~up, torch.full((env.num_envs,), torch.nan)
+    end_time = fall_time.clone()
     began = last = torch.zeros(0)
     upright, ways = torch.zeros(env.num_envs), torch.zeros(env.num_envs)
     states, forces = [], []
@@ -114,7 +120,9 @@ def walk(
         down = body_contact(td, td)[:, 0]
         fall_time[down & ~fell] = (step + 1) * base.control_dt
         fell = fell | down
-        up = up & ~td["terminated"][:, 0] & ~fell
+        ended = up & ~fell & td["terminated"][:, 0]
+        end_time[ended] = (step + 1) * base.control_dt
+        up = up & ~ended & ~fell
         w, x, y, z = td["base_orientation"].unbind(-1)
         heading = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y.square() + z.square()))
         facing = torch.stack([heading.cos(), heading.sin()], -1)
@@ -136,17 +144,21 @@ def walk(
         "forward_velocity": float((ways / upright.clamp_min(1)).mean()),
         "distance": float((last - began).norm(dim=-1).mean()),
     }
-    outcomes = [said(float(time), seconds) for time in fall_time[:filmed]]
+    times = zip(fall_time[:filmed].tolist(), end_time[:filmed].tolist(), strict=True)
+    outcomes = [said(fall, seconds, ended=end) for fall, end in times]
     return Played(figures, np.stack(states), np.stack(forces), outcomes)
 
 
-def said(fall_time: float, end: float) -> Outcomes:
+def said(fall_time: float, end: float, *, ended: float = math.nan) -> Outcomes:
     """What a film says of a world, and from when on.
 
     Args:
         fall_time: when it fell [s], NaN if it did not.
         end: of the film [s].
+        ended: when the task ended it otherwise, before any fall [s]; NaN if it did not.
     """
+    if not math.isnan(ended):
+        return [(ended, f"task ended after {ended:.1f} s", False)]
     if math.isnan(fall_time):
         return [(max(0.0, end - 1.5), "stays up", True)]
     return [(fall_time, f"fell after {fall_time:.1f} s", False)]

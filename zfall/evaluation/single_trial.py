@@ -154,7 +154,10 @@ def _film(replay: Replay, label: str, outcome: str, path: Path, console: Console
     every = round(frame(env) / env.control_dt)
     count = len(replay.states) // every
     forces = replay.forces[: count * every].reshape(count, every, 1, 3).mean(1)
-    said = (max(0.0, length - 1.5), outcome, outcome != "fell")
+    begin = max(0.0, length - 1.5)
+    if outcome == "fell" and np.isfinite(fall := float(replay.row["time_to_fall_s"])):
+        begin = replay.pushes[0][0] + fall if replay.pushes else fall
+    said = (begin, outcome, outcome not in ("fell", "stands bent"))
     try:
         film(
             env.camera.model,

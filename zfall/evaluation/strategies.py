@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -139,38 +140,52 @@ class Strategies:
 
 
 def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
-    """Share of recovered trials in which the push caused a strategy, by its side and size.
+    """Share of recovered trials with more of a strategy than without a push, by side and size.
 
     A strategy counts if its amount is above the bound of ``AMOUNTS`` and above what 95 % of the
-    control trials, which are as long and have no push, did not exceed. So a policy that steps all
-    the time is seen to step only where it takes more steps than it does by itself.
+    control trials did not exceed, which are as long and have no push. So a policy that steps all
+    the time is seen to step only where it takes more steps than it does by itself. By chance
+    about 5 % of the trials exceed what is usual.
 
     Rows: ``side`` (a quarter of the directions: forward, left, backward, right), ``impulse``,
-    ``recovered``, the number of trials counted; then a share for each strategy. The first row is
-    that of the control trials by the bounds alone, its ``side`` is "no push". Without columns of
-    ``Strategies``, as in a battery with other measures, no strategy is shown.
+    ``recovered``, the number of trials counted; then a share for each strategy. ``ankle`` goes by
+    the bounds alone; ``as_usual``: nothing exceeds the control trials. The first row, of ``side``
+    "no push", has the control trials by the bounds alone. Shares are NaN if no control trial
+    recovered. Without all amounts, as in a battery with other measures, no strategy is shown.
     """
-    amounts = {name: a for name, a in AMOUNTS.items() if a[0] in trials}
-    names = ["ankle", *amounts] if amounts else []
+    columns = [column for column, _ in AMOUNTS.values()]
+    known = all(column in trials and trials[column].notna().all() for column in columns)
+    names = ["ankle", *AMOUNTS, "as_usual"] if known else []
     control = trials[trials["recovered"] & (trials["impulse"] == 0)]
     counted = trials[trials["recovered"] & (trials["impulse"] > 0)].copy()
-    for name, (column, bound) in amounts.items():
-        usual = control[column].quantile(USUAL, interpolation="higher") if len(control) else bound
-        counted[name] = counted[column] > max(bound, usual)
-    counted["ankle"] = ~counted[list(amounts)].any(axis=1)
+    if known:
+        for name, (column, bound) in AMOUNTS.items():
+            usual = _usual(control[column].to_numpy())
+            counted[name] = (counted[column] > max(bound, usual)).where(len(control) > 0)
+        counted["ankle"] = counted["strategy/ankle"]
+        beyond = counted[list(AMOUNTS)].astype(float).sum(axis=1, skipna=False)
+        counted["as_usual"] = (beyond == 0).where(beyond.notna())
+        counted[names] = counted[names].astype(float)
     sides = np.array(["forward", "left", "backward", "right"])
     quarter = np.round(counted["direction_rad"].to_numpy() / (np.pi / 2) - 1e-9).astype(int) % 4
     groups = counted.assign(side=sides[quarter]).groupby(["side", "impulse"], sort=False)
     table = groups[names].mean()
     table.insert(0, "recovered", groups.size())
-    alone = control[[f"strategy/{name}" for name in names]].mean()
-    alone = alone.rename(lambda name: str(name).removeprefix("strategy/"))
-    first = pd.DataFrame([{"side": "no push", "impulse": 0.0, "recovered": len(control), **alone}])
     order = {side: place for place, side in enumerate(sides)}
     pushed = table.reset_index().sort_values(
         ["side", "impulse"], key=lambda column: column.map(lambda x: order.get(x, x))
     )
-    return pd.concat([first, pushed] if len(control) else [pushed], ignore_index=True)
+    if not known or not len(control):
+        return pushed.reset_index(drop=True)
+    alone = control[[f"strategy/{name}" for name in ["ankle", *AMOUNTS]]].mean()
+    alone = alone.rename(lambda name: str(name).removeprefix("strategy/"))
+    first = pd.DataFrame([{"side": "no push", "impulse": 0.0, "recovered": len(control), **alone}])
+    return pd.concat([first, pushed], ignore_index=True)[["side", "impulse", "recovered", *names]]
+
+
+def _usual(amounts: NDArray[np.float64]) -> float:
+    """What 95 % of the control trials do not exceed, one of their values; infinite of none."""
+    return float(np.quantile(amounts, USUAL, method="inverted_cdf")) if len(amounts) else np.inf
 
 
 def _bends_at_the_hip(joint: str) -> bool:

@@ -130,9 +130,15 @@ def between(
 
 
 def _headings(states: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the robot faces in states ``(T, nq)``, which begin with its base ``(T,)`` [rad]."""
+    """Where the robot faces in states ``(T, nq)``, which begin with its base ``(T,)`` [rad].
+
+    While its trunk leans by more than 60 degrees, where it faced last: lying it faces nowhere.
+    """
     w, x, y, z = states[:, 3:7].T
-    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    facing = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    upright = 1 - 2 * (x * x + y * y) > 0.5
+    last = np.maximum.accumulate(np.where(upright, np.arange(len(states)), 0))
+    return np.asarray(facing[last])
 
 
 def _draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, mark: Mark) -> None:

@@ -84,12 +84,18 @@ class ExportedPolicy:
         """One control step.
 
         Args:
-            sensors: quantities of one robot, by name, of any shape; those that are not given are
-                0, as the command of who operates it.
+            sensors: quantities of one robot, by name, of any shape; what its operator gives, as a
+                command, is 0 if it is left out.
 
         Returns:
             The action ``(J,)``, and the targets of the ticks of the control step ``(K, J)`` [rad].
+
+        Raises:
+            ValueError: if a quantity is missing that the robot measures.
         """
+        by_robot = (each["name"] for each in self.about["sensors"] if each.get("by") != "operator")
+        if missing := [name for name in by_robot if name not in sensors]:
+            raise ValueError(f"sensors must have {missing[0]}, got {', '.join(sensors)}.")
         begin = np.full((1, 1), not self.began, np.float32)
         given = {
             name: np.asarray(sensors.get(name, np.zeros(size)), np.float32).reshape(1, size)

@@ -161,12 +161,17 @@ def check_lengths(config: str, overrides: Sequence[str], reached: int = 0) -> No
     Raises:
         ValueError: naming the key and those that can be given.
     """
-    stages: Mapping[str, Any] = DictConfig(OmegaConf.create(config)).get("stages") or {}
+    given: Mapping[str, Any] = DictConfig(OmegaConf.create(config)).get("stages") or {}
+    stages = {name: stage for name, stage in given.items() if stage is not None}
     open_ones = list(stages)[max(0, reached - 1) :]
     can = ", ".join(f"+stages.{name}.total_frames" for name in open_ones)
     for key in (override.partition("=")[0].lstrip("+") for override in overrides):
         first, *rest = key.split(".")
-        if first == "stages" and len(rest) == 2 and reached and rest[0] not in open_ones:
+        if (
+            first == "stages"
+            and len(rest) == 2
+            and rest[0] not in (open_ones if reached else stages)
+        ):
             raise ValueError(f"{key} must be that of a stage which is not over: {can or 'none'}.")
         own = [isinstance(stage, Mapping) and "total_frames" in stage for stage in stages.values()]
         if key == "total_frames" and own and all(own):
