@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.testing import assert_close
 
 from zfall.evaluation.candidate import load_candidate
@@ -65,6 +66,21 @@ def test_sliders_of_the_world_reach_the_physics():
     still.set_physics({})
     assert base.parameters.values["foot_friction"] == 1.0
     assert base.parameters.values["payload"].sum() == 0
+
+
+def test_what_was_chosen_outlasts_a_draw_and_leaves_the_others_alone():
+    still = player("pose_hold")
+    base = still.env.base_env
+    drawn = {
+        "foot_friction": torch.full((1, 1), 0.9),
+        "servo_torque_limit": torch.full((1, 20), 0.8),
+    }
+    base.set_physics_params(TensorDict(drawn, [1]))
+    still.set_physics({"foot_friction": 0.4})
+    assert_close(base.parameters.values["servo_torque_limit"], drawn["servo_torque_limit"])
+    base.set_physics_params(TensorDict(drawn, [1]))  # as a reset of the twin would
+    still.reset()
+    assert base.parameters.values["foot_friction"] == 0.4
 
 
 def test_latency_lets_commands_come_later():

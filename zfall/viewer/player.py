@@ -77,6 +77,7 @@ class Player:
         self._random = np.random.default_rng(seed)
         self._nominal = {k: v.clone() for k, v in base.parameters.values.items()}
         self.env.set_seed(seed)
+        self._moved: dict[str, float] = {}  # parameters that somebody has chosen
         self.time, self.fell = 0.0, torch.zeros(num_envs, dtype=torch.bool)
         self.seen: TensorDictBase = TensorDict(batch_size=[num_envs])
         self._now: TensorDictBase = self.seen
@@ -123,6 +124,8 @@ class Player:
             self.seen = self._now = self.env.reset()
         else:
             self._now = self.env.reset(self._now.set("_reset", rows[:, None]))
+        if self._moved:
+            self.set_physics(self._moved)  # over what the reset drew
         self.fell &= ~rows
         here = base.simulation.qpos.numpy()[:, None].repeat(base.substeps, 1)
         self._states = np.where(rows.numpy()[:, None, None], here, self._states)
@@ -143,7 +146,9 @@ class Player:
         self._delay.delay = (seconds, seconds)
 
     def set_physics(self, values: Mapping[str, float]) -> None:
-        """Gives all worlds the same physical parameters; those not named become nominal.
+        """Gives all worlds the same physical parameters, which resets do not change.
+
+        Those that were named before and are not any more become nominal; others stay.
 
         Args:
             values: by name, of every element of a parameter; but ``slope`` is how far the floor
@@ -152,12 +157,13 @@ class Player:
         Raises:
             ValueError: on a value that the physics or the servos cannot have.
         """
-        params = {name: nominal.clone() for name, nominal in self._nominal.items()}
+        params = {name: self._nominal[name].clone() for name in {*self._moved, *values}}
         columns = {"slope": 0, "payload": self.points.index("chest")}
         for name, value in values.items():
             params[name][:, columns.get(name, slice(None))] = value
         td = TensorDict(params, batch_size=[self.num_envs])
         self.env.base_env.set_physics_params(td)
+        self._moved = dict(values)
 
     def carry_on(self, candidate: Candidate) -> None:
         """Lets newer weights of the same policy act from the coming step on."""
