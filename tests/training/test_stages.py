@@ -74,7 +74,7 @@ def test_written_out_they_are_the_same_stages():
     ("given", "says"),
     [
         ("last: {}", "stages must have names of letters, digits and _, not last or best, got 'last'"),
-        ("easy: 5", "stages.easy must be a table of what it changes, got 5"),
+        ("easy: 5", "stages.easy must be a table of what it changes, or null, got 5"),
         ("easy: {frames: 5}", "stages.easy must hold seed, num_envs"),
         ("easy: {logger: null}", "alone, got logger"),
         ("easy: {env: {transforms: {push: {siez: 1}}}}", "stages.easy.env.transforms.push"),

@@ -112,7 +112,7 @@ class Strategies:
         self.still = torch.where(counted, ~moving, self.still)
         now_used = {
             "foot_tilt": (tilt(td["feet_orientation"]) * contact).amax(-1),
-            "hip": (hip - self._hip).abs().amax(-1),
+            "hip": torch.nn.functional.pad((hip - self._hip).abs(), (0, 1)).amax(-1),  # 0 of none
             "momentum": td["angular_momentum"].norm(dim=-1) / self.unit,
         }
         for name, value in now_used.items():
@@ -161,11 +161,11 @@ def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
     if known:
         for name, (column, bound) in AMOUNTS.items():
             usual = _usual(control[column].to_numpy())
-            counted[name] = (counted[column] > max(bound, usual)).where(len(control) > 0)
+            more = (counted[column] > max(bound, usual)).astype(float)
+            counted[name] = more if len(control) else np.nan
         counted["ankle"] = counted["strategy/ankle"]
-        beyond = counted[list(AMOUNTS)].astype(float).sum(axis=1, skipna=False)
-        counted["as_usual"] = (beyond == 0).where(beyond.notna())
-        counted[names] = counted[names].astype(float)
+        beyond = counted[list(AMOUNTS)].sum(axis=1)
+        counted["as_usual"] = (beyond == 0).astype(float) if len(control) else np.nan
     sides = np.array(["forward", "left", "backward", "right"])
     quarter = np.round(counted["direction_rad"].to_numpy() / (np.pi / 2) - 1e-9).astype(int) % 4
     groups = counted.assign(side=sides[quarter]).groupby(["side", "impulse"], sort=False)
