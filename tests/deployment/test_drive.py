@@ -29,6 +29,15 @@ def folder(tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def bus():
+    """The twin at rest, in simulated time."""
+    own = load_candidate("twin")
+    bus = SimulatedBus(load_battery("twin", starts=1), own.env_cfg, realtime=False)
+    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
+    return bus
+
+
 def test_a_dry_run_passes_the_pushes_that_the_fast_path_passes(folder):
     """Six trials of battery twin, of which the fast path stands most: within its interval."""
     own = load_candidate("twin")
@@ -54,25 +63,13 @@ def test_a_cut_cable_stops_the_robot_within_the_watchdog(folder, tmp_path):
     assert 1.5 < last["time_s"] <= 1.5 + 0.05 + 0.04 + 0.005
 
 
-def test_limp_switches_the_torque_off_and_hot_servos_stop(folder):
-    own = load_candidate("twin")
-    bus = SimulatedBus(load_battery("twin", starts=1), own.env_cfg, realtime=False)
-    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
+def test_limp_switches_the_torque_off_and_hot_servos_stop(folder, bus):
     log = Log(None, bus.joints)
     settings = Settings(hottest=20.0, stop="limp", settle=0.04)
     with pytest.raises(Stopped, match="has 25 degrees Celsius, at most 20"):
         drive(ExportedPolicy(folder), bus, seconds=1.0, log=log, settings=settings)
     assert float(bus.base.parameters.values["servo_torque_limit"].abs().max()) == 0.0
     assert len(log.events) == 1
-
-
-@pytest.fixture
-def bus():
-    """The twin at rest, in simulated time."""
-    own = load_candidate("twin")
-    bus = SimulatedBus(load_battery("twin", starts=1), own.env_cfg, realtime=False)
-    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
-    return bus
 
 
 def test_a_sensor_that_gives_no_number_stops_the_robot(folder, bus, monkeypatch):

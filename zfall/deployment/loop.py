@@ -143,7 +143,7 @@ class _Drive:
                 if over():
                     break
             self.bus.wait_until(begin + seconds if not over() else self.bus.now())
-        except (Stopped, KeyboardInterrupt, Exception) as error:
+        except (Exception, KeyboardInterrupt) as error:
             if self.settings.stop == "limp":
                 self.write(registers.TORQUE_ENABLE, 0)
             why = str(error) or ("by hand" if isinstance(error, KeyboardInterrupt) else repr(error))
