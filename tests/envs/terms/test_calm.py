@@ -71,7 +71,7 @@ def test_the_pose_to_rest_in_is_the_standing_pose_and_its_offsets():
     after["joint_position"] = torch.tensor([ZEROTH01.stand_position], dtype=torch.float32)
     rest = partial(rest_posture, robot=ZEROTH01, reach=0.04, sigma=0.2)
     assert rest(BEFORE, after).item() == pytest.approx(1.0)
-    offsets = {name: 0.4 for name in ZEROTH01.joints[3:8]}
+    offsets = dict.fromkeys(ZEROTH01.joints[3:8], 0.4)
     assert rest(BEFORE, after, offsets=offsets).item() == pytest.approx(math.exp(-1))
     after["joint_position"][:, 3:8] += 0.4
     assert rest(BEFORE, after, offsets=offsets).item() == pytest.approx(1.0)
