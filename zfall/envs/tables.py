@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from zfall.configs import compose_config, nodes_of, options_of, plain_containers
 from zfall.fingerprints import digest, file_digest
-from zfall.robots import ZEROTH01, Robot
+from zfall.robots import DEFAULT, Robot
 from zfall.simulation.model import identity_of
 from zfall.static_checks import check_nodes
 
@@ -21,7 +21,7 @@ def robot_of(cfg: DictConfig) -> Robot:
     if not isinstance(cfg.base_env, DictConfig):
         raise ValueError(f"env.base_env must be a table, got {cfg.base_env}.")
     robot = cfg.base_env.get("robot")
-    return ZEROTH01 if robot is None else instantiate(robot)
+    return DEFAULT if robot is None else instantiate(robot, _convert_="all")
 
 
 def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
