@@ -17,6 +17,7 @@ from zfall.simulation.quantities import STATE_KEYS
 from zfall.simulation.stance import stance
 
 PHASES = 60  # stored of each stride
+_CROUCH = 0.96  # of the standing height: a leg that is stretched cannot walk
 _PRECISION, _ITERATIONS = 1e-10, 30  # of Newton's method [m, rad]
 
 States = dict[str, NDArray[np.floating]]
@@ -51,7 +52,7 @@ def gaits_of(robot: Robot) -> dict[str, Gait]:
             double_support=gait.double_support * later,
             half_width=width,
             lift=gait.lift * longer,
-            com_height=robot.com_height * 0.98,
+            com_height=_CROUCH * robot.com_height,
         )
         for name, gait in gaits_of(DEFAULT).items()
     }
@@ -87,7 +88,9 @@ def walk(robot: Robot, gait: Gait, time: Times) -> States:
     model = bare_model(robot)
     data = mujoco.MjData(model)
     soles = [int(model.sensor_objid[model.sensor(f"feet_position/{f}").id]) for f in robot.feet]
-    moving = np.array([0, 1, 2, *(dof for sole in soles for dof in _leg(model, sole))])
+    legs = [_leg(model, sole) for sole in soles]
+    shared = {*legs[0]} & {*legs[1]}  # of a waist above both
+    moving = np.array([0, 1, 2, *(dof for leg in legs for dof in leg if dof not in shared)])
     if len(moving) != 15:
         raise ValueError(f"legs must have six joints each to walk, {robot.name} has others.")
     soles_to, center = feet(gait, time), center_of_mass(gait, time)

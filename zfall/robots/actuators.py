@@ -7,8 +7,7 @@ controller in front of it. Others are refused: nothing would follow a target.
 from collections.abc import Mapping, Sequence
 
 import mujoco
-
-from zfall.robots.mjcf import compile_spec
+import numpy as np
 
 _FULL = 0.35  # error at which a motor with our controller gives all that it can [rad]
 Stiffness = float | Mapping[str, float] | None
@@ -38,7 +37,7 @@ def actuated_joints(model: mujoco.MjModel) -> list[str]:
 
 def make_servos(
     spec: mujoco.MjSpec,
-    path: str,
+    model: mujoco.MjModel,
     joints: Sequence[str],
     *,
     stiffness: Stiffness,
@@ -48,35 +47,40 @@ def make_servos(
 
     Args:
         spec: of the robot.
-        path: of its MJCF, for messages.
+        model: compiled from its MJCF.
         joints: those that must have one.
-        stiffness: of our controller [N m/rad], for all motors or by joint; ``None``: full torque at
-            an error of 0.35 rad, and in a leg at least ``upright``. Damping is critical.
+        stiffness: [N m/rad], for all or by joint, with critical damping. ``None``: position
+            actuators keep theirs; motors give their full torque at an error of 0.35 rad, and have
+            at least ``upright`` in a leg.
         upright: least stiffness of joints that must hold the robot up [N m/rad].
 
     Raises:
         ValueError: on an actuator that cannot follow a target, or has no largest torque.
     """
-    model = compile_spec(spec.copy(), path)
     for number, joint in enumerate(actuated_joints(model)):
         if joint not in joints:
             raise ValueError(f"joints must name all that have an actuator, {joint} is missing")
         actuator, hinge = spec.actuators[number], spec.joint(joint)
         known = stiffness.get(joint) if isinstance(stiffness, Mapping) else stiffness
         limit = _largest_torque(model, number, joint)
-        match _kind(model, number):
+        match kind := _kind(model, number):
             case "position":
                 gear, own = float(actuator.gear[0]), model.actuator_biasprm[number]
-                if gear != 1.0:  # the same servo, at the joint
-                    kp, kv = -own[1] * gear**2, -own[2] * gear**2
-                    actuator.set_to_position(kp=kp, kv=kv)
-            case "motor" | "dcmotor" as kind:
+                if known:
+                    actuator.set_to_position(kp=known, dampratio=1.0)
+                elif gear != 1.0:  # the same servo, at the joint
+                    actuator.set_to_position(kp=-own[1] * gear**2, kv=-own[2] * gear**2)
+            case "motor" | "dcmotor":
                 if kind == "dcmotor":
                     hinge.damping[0] += _back_emf(model, number)
                 needed = max(limit / _FULL, upright.get(joint, 0.0))
                 actuator.set_to_position(kp=known or needed, dampratio=1.0)
                 actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
                 actuator.ctrlrange = [0.0, 0.0]
+        if not model.jnt_limited[model.joint(joint).id]:  # so far its targets may go
+            free = [-np.pi, np.pi] if kind != "position" else list(actuator.ctrlrange)
+            hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+            hinge.range = free if free[0] < free[1] else [-np.pi, np.pi]
         actuator.gear = [1.0, 0, 0, 0, 0, 0]
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-limit, limit]

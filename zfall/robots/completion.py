@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from zfall.robots.actuators import make_servos
+from zfall.robots.actuators import actuated_joints, make_servos
 from zfall.robots.geometry import Sole
-from zfall.robots.mjcf import compile_spec, read_spec
+from zfall.robots.mjcf import compile_spec, plain_model, read_spec
 
 if TYPE_CHECKING:
     from zfall.robots.robot import Robot
@@ -79,14 +79,15 @@ def bare_model(robot: "Robot") -> mujoco.MjModel:
 
 def complete(spec: mujoco.MjSpec, robot: "Robot", add: Additions) -> None:
     """Adds to a spec what the env needs; see ``Additions``."""
-    make_servos(spec, robot.mjcf, add.joints, stiffness=robot.stiffness, upright=add.upright)
+    model = plain_model(robot.mjcf)
+    make_servos(spec, model, add.joints, stiffness=robot.stiffness, upright=add.upright)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos are stiff
     spec.compiler.discardvisual = True  # of no use to the physics; pictures keep it
     _add_floor(spec)
     _add_camera(spec, add)
     _add_sensors(spec, robot.feet, add)
-    _add_stand(spec, robot.mjcf, add)
+    _add_stand(spec, model, add)
 
 
 def _add_floor(spec: mujoco.MjSpec) -> None:
@@ -194,16 +195,13 @@ def _corners(sole: Sole, height: float) -> list[tuple[str, list[float], list[flo
     return found
 
 
-def _add_stand(spec: mujoco.MjSpec, path: str, add: Additions) -> None:
-    """The reference pose as the keyframe ``stand``, in place of one of this name."""
-    model = compile_spec(spec.copy(), path)
+def _add_stand(spec: mujoco.MjSpec, model: mujoco.MjModel, add: Additions) -> None:
+    """The reference pose as the only keyframe, ``stand``."""
     qpos = model.qpos0.copy()
     qpos[:7] = add.base
     for joint, angle in add.angles.items():
         qpos[model.joint(joint).qposadr[0]] = angle
-    control = np.zeros(model.nu)
-    for joint in add.joints:
-        control[model.actuator(joint).id] = add.angles.get(joint, 0.0)
+    control = [add.angles.get(joint, 0.0) for joint in actuated_joints(model)]
     for key in list(spec.keys):
         spec.delete(key)
     spec.add_key(name=STAND, qpos=qpos, ctrl=control)

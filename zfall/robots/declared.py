@@ -26,11 +26,7 @@ def check_declared(robot: Robot) -> None:
     model = bare_model(robot)
     _check(robot, "mass", robot.mass, float(model.body_mass.sum()), _MASS, "kg")
     _check_stand(robot, model)
-    try:
-        height = settled_height(model)
-    except ValueError as error:
-        raise ValueError(f"{robot.mjcf}: {error}.") from None
-    _check(robot, "com_height", robot.com_height, height, _HEIGHT, "m")
+    _check(robot, "com_height", robot.com_height, _height(robot, model), _HEIGHT, "m")
     if robot.mirror:
         _check_mirror(robot, model)
 
@@ -41,6 +37,15 @@ def _check(robot: Robot, name: str, declared: float, found: float, share: float,
             f"{name} of {robot.name} must be that of its MJCF, {found:.4g} {unit}, got "
             f"{declared:.4g} {unit}; left out, it is derived."
         )
+
+
+def _height(robot: Robot, model: mujoco.MjModel) -> float:
+    if "derived" in vars(robot):  # it has settled already
+        return robot.derived.com_height
+    try:
+        return settled_height(model)
+    except ValueError as error:
+        raise ValueError(f"{robot.mjcf}: {error}.") from None
 
 
 def _check_stand(robot: Robot, model: mujoco.MjModel) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -12,7 +13,7 @@ from zfall.robots import anatomy
 from zfall.robots.actuators import actuated_joints
 from zfall.robots.completion import STAND, Additions, complete
 from zfall.robots.geometry import Sole, sole_of
-from zfall.robots.mjcf import compile_spec, read_spec
+from zfall.robots.mjcf import compile_spec, plain_model, read_spec
 from zfall.robots.points import PushPoint
 from zfall.robots.symmetry import find_symmetry
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from zfall.robots.robot import Robot
 
 Array = NDArray[np.float64]
+_READ = ("mjcf", "joints", "stand", "keyframe", "feet", "foot_links", "region_links", "stiffness")
 
 GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
 SETTLING = 20.0  # time for which the servos must hold the reference pose, in units of sqrt(h0 / g)
@@ -35,6 +37,7 @@ class Derived:
     additions: Additions
     joints: tuple[str, ...]
     stand: dict[str, float]
+    keyframe: str | None
     sole_half_size: tuple[float, float]
     regions: tuple[str, ...]
     push_points: dict[str, PushPoint]
@@ -45,22 +48,28 @@ class Derived:
     mass: float
 
 
+_known: dict[str, Derived] = {}  # by what is declared: it takes seconds where there are meshes
+
+
 def derive(robot: "Robot") -> Derived:
-    """Everything about a robot that its MJCF and what is declared say.
+    """Everything about a robot that its MJCF and what is declared say; worked out once.
 
     Raises:
         ValueError: if the MJCF is no humanoid on a free joint, or its reference pose falls.
     """
+    written = Path(robot.mjcf).stat().st_mtime_ns
+    declared = f"{written} {[getattr(robot, name) for name in _READ]}"
     try:
-        return _derive(robot)
+        if declared not in _known:
+            _known[declared] = _derive(robot)
+        return _known[declared]
     except ValueError as error:
         text = str(error)
         raise ValueError(text if text.startswith("mjcf ") else f"{robot.mjcf}: {text}.") from None
 
 
 def _derive(robot: "Robot") -> Derived:
-    spec = read_spec(robot.mjcf)
-    model = compile_spec(spec.copy(), robot.mjcf)
+    spec, model = read_spec(robot.mjcf), plain_model(robot.mjcf)
     _check_base(model)
     joints = tuple(robot.joints or actuated_joints(model))
     _check_joints(model, joints)
@@ -99,6 +108,7 @@ def _derive(robot: "Robot") -> Derived:
         additions=additions,
         joints=joints,
         stand={joint: stand[joint] for joint in joints if stand.get(joint)},
+        keyframe=_keyframe(robot, [model.key(n).name for n in range(model.nkey)]),
         sole_half_size=half,
         regions=tuple(additions.regions),
         push_points=_push_points(model, feet),
@@ -168,22 +178,33 @@ def _reference(
         for number in range(model.njnt)
         if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_HINGE and model.joint(number).name
     ]
-    upright = np.array([1.0, 0.0, 0.0, 0.0])
-    if robot.stand is not None:
-        if unknown := [joint for joint in robot.stand if joint not in {h.name for h in hinges}]:
-            raise ValueError(f"stand must name joints, there is no {unknown[0]}")
-        rest = {hinge.name: float(model.qpos0[hinge.qposadr[0]]) for hinge in hinges}
-        rest |= dict.fromkeys(joints, 0.0)
-        return rest | {name: float(angle) for name, angle in robot.stand.items()}, upright
     names = [model.key(number).name for number in range(model.nkey)]
-    wanted = robot.keyframe or next((n for n in ("stand", "home") if n in names), None)
-    if robot.keyframe is not None and wanted not in names:
-        raise ValueError(f"keyframe must be one of {', '.join(names) or 'none'}, got {wanted}")
-    if wanted is None and not names:
-        return {hinge.name: float(model.qpos0[hinge.qposadr[0]]) for hinge in hinges}, upright
-    qpos = model.key(names.index(wanted) if wanted else 0).qpos
-    tilt = qpos[3:7] / np.linalg.norm(qpos[3:7])
-    return {hinge.name: float(qpos[hinge.qposadr[0]]) for hinge in hinges}, tilt
+    wanted = _keyframe(robot, names)
+    if wanted is None:
+        qpos = model.qpos0.copy()
+        qpos[3:7] = [1.0, 0.0, 0.0, 0.0]
+    else:
+        qpos = model.key(names.index(wanted)).qpos
+    angles = {hinge.name: float(qpos[hinge.qposadr[0]]) for hinge in hinges}
+    stand = robot.stand or {}
+    if unknown := [joint for joint in stand if joint not in angles]:
+        raise ValueError(f"stand must name joints, there is no {unknown[0]}")
+    if robot.stand is not None:
+        angles |= dict.fromkeys(joints, 0.0)
+    angles |= {name: float(angle) for name, angle in stand.items()}
+    return angles, qpos[3:7] / np.linalg.norm(qpos[3:7])
+
+
+def _keyframe(robot: "Robot", names: Sequence[str]) -> str | None:
+    """Name of the keyframe with the reference pose, ``None`` without one."""
+    if robot.keyframe is None:
+        if robot.stand is not None or not names:
+            return None
+        return next((name for name in ("stand", "home") if name in names), names[0])
+    if robot.keyframe not in names:
+        there = ", ".join(names) or "none"
+        raise ValueError(f"keyframe must be one of {there}, got {robot.keyframe}")
+    return robot.keyframe
 
 
 def _forward(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -238,8 +259,13 @@ def _regions(
 
 
 def _push_points(model: mujoco.MjModel, feet: tuple[int, int]) -> dict[str, PushPoint]:
-    """At centers of mass: ``torso`` and ``chest`` of the trunk, ``pelvis`` of the legs' bearer."""
+    """At centers of mass: ``torso`` and ``chest`` of the trunk, ``pelvis`` of the legs' bearer.
+
+    A link that has such a name is the point itself.
+    """
     trunk = model.body(anatomy.trunk(model, feet)).name
     hips = model.body(anatomy.pelvis(model, feet)).name
     middle = PushPoint(body=trunk)
-    return {"torso": middle, "pelvis": PushPoint(body=hips), "chest": middle}
+    points = {"torso": middle, "pelvis": PushPoint(body=hips), "chest": middle}
+    links = {model.body(number).name for number in range(model.nbody)}
+    return {name: point for name, point in points.items() if name not in links}

@@ -1,5 +1,6 @@
 """MJCF files found and read; what is wrong with one is said in one line."""
 
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -60,6 +61,22 @@ def compile_spec(spec: mujoco.MjSpec, path: str) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, OSError) as error:
         raise ValueError(f"mjcf must compile, {path} does not: {_in_one_line(error)}") from None
+
+
+def plain_model(path: str) -> mujoco.MjModel:
+    """The model of an MJCF without what is only seen; compiled once, not to be changed.
+
+    Raises:
+        ValueError: if it does not compile.
+    """
+    return _plain(path, Path(path).stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _plain(path: str, written: int) -> mujoco.MjModel:
+    spec = read_spec(path)
+    spec.compiler.discardvisual = True
+    return compile_spec(spec, path)
 
 
 def _folder_of(package: str) -> Path:

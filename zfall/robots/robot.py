@@ -1,7 +1,7 @@
 """Robots as data: an MJCF, and the few things that it cannot say."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +17,8 @@ __all__ = ["GRAVITY", "PushPoint", "Robot"]
 DERIVED: Any = None  # what is left out follows from the MJCF
 _TUPLES = ("joints", "feet", "foot_links", "corners", "sole_half_size", "regions", "legs",
            "mirror_keeps_sign", "mirror_signs")  # fmt: skip
+_NEEDED = ("joints", "stand", "sole_half_size", "regions", "push_points", "mirror", "com_height",
+           "mass")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +36,9 @@ class Robot:
         mjcf: path of the MJCF, of a folder with one, or ``PACKAGE:PATH``.
         joints: joint names, in the order of every vector over joints; else that of the actuators.
         stand: the joints of the standing reference pose that are not at zero [rad]; else that of
-            ``keyframe``.
-        keyframe: of the MJCF with the reference pose; else ``stand``, ``home`` or the first.
+            the keyframe.
+        keyframe: of the MJCF with the reference pose, where the base may lean; without ``stand``
+            it is the one named ``stand`` or ``home``, or the first, else all joints are at rest.
         feet: names of the left and the right foot, as in ``feet_position/left``.
         foot_links: the links that are the left and the right foot; else the two lowest ones.
         corners: names of the corners of a sole, as in ``feet_corner_force/left/front_left``.
@@ -99,19 +102,22 @@ class Robot:
         for name in _TUPLES:  # yaml has lists
             if isinstance(value := getattr(self, name), list):
                 object.__setattr__(self, name, tuple(value))
-        needed = [each.name for each in fields(self) if each.default is DERIVED]
-        needed = [name for name in needed if name in Derived.__dataclass_fields__]
-        if all(getattr(self, name) is not None for name in needed if name != "legs"):
+        if not self._lacking:
             object.__setattr__(self, "legs", self.legs or ())
             return
         derived = self.derived
         points = {**derived.push_points, **(self.push_points or {})}
         object.__setattr__(self, "push_points", points)
+        object.__setattr__(self, "keyframe", derived.keyframe)
         if self.mirror is None and not self.mirror_signs:
             object.__setattr__(self, "mirror_signs", derived.mirror_signs)
-        for name in needed:
+        for name in (*self._lacking, "legs"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(derived, name))
+
+    @property
+    def _lacking(self) -> list[str]:
+        return [name for name in _NEEDED if getattr(self, name) is None]
 
     def __hash__(self) -> int:
         return hash((self.name, self.mjcf))
@@ -126,10 +132,9 @@ class Robot:
         from zfall.robots.completion import speaks_our_names
 
         if speaks_our_names(read_spec(self.mjcf)):
-            lacking = [n for n in Derived.__dataclass_fields__ if getattr(self, n, 0) is None]
             raise ValueError(
-                f"{self.name} must declare {', '.join(lacking)}: {self.mjcf} has sensors for the "
-                "keys, so that nothing is derived from it."
+                f"{self.name} must declare {', '.join(self._lacking)}: {self.mjcf} has sensors for "
+                "the keys, so that nothing is derived from it."
             )
         return derive(self)
 
