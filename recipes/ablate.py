@@ -31,7 +31,7 @@ class Keys(TypedDict):
     rebuild: bool
     force: bool
     launcher: Name
-    launch: Mapping[Name, Any]
+    launch: Mapping[Name, Any] | None
     jobs: Whole | None
     trust: Sequence[Name]
 

@@ -43,7 +43,7 @@ class Keys(TypedDict):
     spread: Positive
     seed: Seed
     launcher: Name
-    launch: Mapping[Name, Any]
+    launch: Mapping[Name, Any] | None
 
 
 BINS = ("headings", "speeds", "until")

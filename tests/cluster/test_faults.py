@@ -71,7 +71,8 @@ def test_a_study_whose_worker_and_whose_driver_are_killed_has_the_same_tables(
     wait_until(lambda: not of_ray("ray::execute"), 30)  # they end with the driver
     before = rows(folder)
     killer = threading.Thread(
-        target=lambda: (wait_until(lambda: rows(folder) > before), kill_a_worker())
+        target=lambda: (wait_until(lambda: rows(folder) > before), kill_a_worker()),
+        daemon=True,
     )
     killer.start()
     done = run("ablate", *jobs(2, cluster, *own))
@@ -94,7 +95,7 @@ def test_a_study_of_six_runs_survives_ten_kills_of_workers(cluster, studies, tmp
                 killed.append(time.monotonic())
                 wait_until(lambda: len(of_ray("ray::execute")) > 0 or over.is_set())
 
-    killer = threading.Thread(target=kill)
+    killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     done = run("ablate", *jobs(6, cluster, *own, *places(tmp_path)))
     over.set()

@@ -24,7 +24,8 @@ def test_trainings_whose_worker_dies_go_on_elsewhere_from_files_that_were_fetche
     launcher = ["hydra/launcher=ray", f"hydra.launcher.address='{cluster}'"]
     launcher += ["hydra.launcher.shared=false", "hydra.launcher.every=0.2"]
     killer = threading.Thread(
-        target=lambda: (wait_until(lambda: rows(tmp_path / "sweep") >= 4), kill_a_worker())
+        target=lambda: (wait_until(lambda: rows(tmp_path / "sweep") >= 4), kill_a_worker()),
+        daemon=True,
     )
     killer.start()
     done = run("train", "-m", *LONG, "seed=0,1", "hydra.sweep.dir=sweep", *launcher)

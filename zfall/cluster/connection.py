@@ -27,7 +27,7 @@ def ray_of(key: str) -> Any:
         ValueError: if it is not installed.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_worker_niceness", str(max(0, os.nice(0))))  # as ours; its own is 15
+    os.environ.setdefault("RAY_worker_niceness", "0")  # as nice as we are; else by 15 more
     try:
         import ray
     except ImportError as error:

@@ -70,7 +70,7 @@ class RayLauncher(Launcher):
         cpus: int,
         gpus: float,
         memory: float | None,
-        resources: Mapping[str, float],
+        resources: Mapping[str, float] | None,
         retries: int,
         shared: bool,
         reads: Sequence[str | None],

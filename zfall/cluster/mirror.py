@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import gettempdir, mkdtemp
 from threading import Event, Thread
 from typing import Any
 
@@ -130,6 +130,14 @@ class Sender:
         return states
 
 
+def remove_left_over() -> None:
+    """Removes folders of this node's jobs whose processes were killed."""
+    for folder in Path(gettempdir()).glob("zfall-[0-9]*-*"):
+        pid = folder.name.split("-")[1]
+        if pid.isdecimal() and not Path(f"/proc/{pid}").exists() and Path("/proc/self").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 @contextmanager
 def on_own_disk(job: Job, sweep: Sweep, keeper: Any, every: float) -> Iterator[None]:
     """Works in a folder of this node, whose files come from a keeper and go there.
@@ -142,7 +150,8 @@ def on_own_disk(job: Job, sweep: Sweep, keeper: Any, every: float) -> Iterator[N
     """
     import ray
 
-    before, here = os.getcwd(), Path(mkdtemp(prefix="zfall-"))
+    remove_left_over()
+    before, here = os.getcwd(), Path(mkdtemp(prefix=f"zfall-{os.getpid()}-"))
     try:
         write(here, ray.get(keeper.files_for.remote(job.number)))
         os.chdir(here)

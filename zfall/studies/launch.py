@@ -92,7 +92,7 @@ def sweep(
     *,
     module: str,
     launcher: str,
-    launch: Mapping[str, Any],
+    launch: Mapping[str, Any] | None,
     log: Path,
     more: Sequence[str] = (),
 ) -> None:
@@ -103,7 +103,7 @@ def sweep(
         values: of it, one for each job.
         module: of the recipe, ``recipes.ablate``.
         launcher: hydra's, which decides where each job runs.
-        launch: values of the launcher.
+        launch: values of the launcher; None: its own.
         log: file to which all that is printed is added.
         more: overrides for all jobs.
     """
@@ -111,7 +111,7 @@ def sweep(
     given = config.overrides.task  # which study, and what of it was changed
     command = [sys.executable, "-m", "zfall.with_parent", module, "-m", *given, *more]
     command += [f"{key}={','.join(map(_written, values))}", f"hydra/launcher={launcher}"]
-    command += [f"hydra.launcher.{key}={_written(value)}" for key, value in launch.items()]
+    command += [f"hydra.launcher.{key}={_written(value)}" for key, value in (launch or {}).items()]
     for source in config.runtime.config_sources:
         if source.provider == "command-line":  # a folder of the user's own studies
             command.append(f"--config-dir={source.path}")
