@@ -26,6 +26,7 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_recipe(cfg, TrainKeys)
     from zfall.policies.load import check_holds_run
+    from zfall.training.begin import AUTO
     from zfall.training.checks import check_config
     from zfall.training.logging import quiet_threads
     from zfall.training.run_folder import full_disk_named, owned, removed_if_unused
@@ -33,7 +34,7 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors(SPOKEN), removed_if_unused(made), trusting(cfg.trust):
         with one_line_errors():
             check_config(cfg)
-        if cfg.resume is None:
+        if cfg.resume in (None, AUTO):
             folder = made
         else:
             folder = Path(cfg.resume)
