@@ -77,7 +77,8 @@ export class World {
       data.qpos[2] -= Math.min(...lowest);
     }
     mujoco.mj_forward(model, data);
-    this.felt = this.sensor("base_acceleration");
+    // At rest it feels gravity alone; in this first moment nothing carries it yet.
+    this.felt = turnedBack(Array.from(data.qpos.slice(3, 7)), [0, 0, -model.opt.gravity[2]]);
     this.start = at.qpos.map((place) => float32(data.qpos[place])); // commands before the first
     this.commands = []; // targets of the ticks of the control steps
     this.forgotten = 0; // of them, from the first
