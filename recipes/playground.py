@@ -48,7 +48,12 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.definitions import load_battery
         from zfall.policies.export import describe, export
         from zfall.policies.on_robot import RobotPolicy
-        from zfall.policies.webpage import check_measurable, describe_robot, robot_mjcf
+        from zfall.policies.webpage import (
+            check_measurable,
+            describe_look,
+            describe_robot,
+            robot_mjcf,
+        )
 
         policy = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
         if policy.actor is None:
@@ -67,6 +72,7 @@ def main(cfg: DictConfig) -> None:
     about |= {"physics_dt_s": env.base_env.physics_dt}
     (out / "robot.xml").write_text(mjcf)
     write_json(out / "policy.json", about)
+    write_json(out / "look.json", describe_look(env.base_env))
     write_json(out / "robot.json", robot | {"standing": standing})
     remove_if_empty(output)
     print(f"wrote {shown_path(out)}")

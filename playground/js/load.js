@@ -8,13 +8,14 @@ async function fetched(name, kind) {
   return answer[kind]();
 }
 
-// The world and the policy of this folder.
+// The world, the policy and the robot's look of this folder.
 export async function load() {
   if (typeof WebAssembly !== "object") throw new Error("This page needs WebAssembly, which this browser does not have.");
   const canvas = document.createElement("canvas");
   if (!canvas.getContext("webgl2")) throw new Error("This page needs WebGL 2, which this browser does not have or has switched off.");
-  const [mjcf, robot, about, bytes, mujoco, ort] = await Promise.all([
-    fetched("robot.xml", "text"), fetched("robot.json", "json"), fetched("policy.json", "json"), fetched("policy.onnx", "arrayBuffer"),
+  const [mjcf, robot, look, about, bytes, mujoco, ort] = await Promise.all([
+    fetched("robot.xml", "text"), fetched("robot.json", "json"), fetched("look.json", "json"),
+    fetched("policy.json", "json"), fetched("policy.onnx", "arrayBuffer"),
     import("../vendor/mujoco/mujoco.js").then((module) => module.default()),
     import("../vendor/onnxruntime/ort.wasm.min.mjs"),
   ]);
@@ -27,7 +28,7 @@ export async function load() {
   if (targets?.length !== about.ticks * robot.joints.length)
     throw new Error(`The network policy.onnx does not fit policy.json: it is of another robot than ${robot.robot}.`);
   policy.reset();
-  return { world, policy };
+  return { world, policy, look };
 }
 
 function check(robot, about) {

@@ -19,9 +19,9 @@ const SHOWN = 0.4; // an arrow stays [s]
 const find = (id) => document.getElementById(id);
 
 class Page {
-  constructor({ world, policy }) {
+  constructor({ world, policy, look }) {
     Object.assign(this, { world, policy, game: new Game(), running: true, busy: Promise.resolve(), clock: null });
-    this.scene = new Scene(find("view"), world);
+    this.scene = new Scene(find("view"), world, look);
     this.script = new Script(world, policy, {
       stop: async () => { this.running = false; await this.busy; },
       go: () => { this.running = true; this.reset(); },

@@ -1,13 +1,13 @@
-// Draws the model's primitives with three.js.
+// Draws the robot's look with three.js.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.js";
 
-const PLANE = 0, SPHERE = 2, CAPSULE = 3, BOX = 6; // of mjtGeom
-const VISIBLE = 2; // groups of geoms below this are drawn
+const SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6, MESH = 7; // of mjtGeom
 
 export class Scene {
-  constructor(place, world) {
+  // look: content of look.json.
+  constructor(place, world, look) {
     Object.assign(this, { place, world });
     this.renderer = new THREE.WebGLRenderer({ antialias: true });
     this.renderer.shadowMap.enabled = true;
@@ -25,19 +25,16 @@ export class Scene {
     this.controls.target.set(0, 0, 0.22);
     this._light();
     this._floor();
-    this.geoms = this._robot();
-    this._face();
+    this.bodies = this._robot(look);
     this.arrow = this._arrow();
     new ResizeObserver(() => this._fit()).observe(place);
     this._fit();
   }
 
   draw() {
-    const { geom_xpos: at, geom_xmat: turn, qpos } = this.world.data;
-    for (const { mesh, geom } of this.geoms) {
-      const m = turn.subarray(9 * geom, 9 * geom + 9), p = at.subarray(3 * geom, 3 * geom + 3);
-      mesh.matrix.set(m[0], m[1], m[2], p[0], m[3], m[4], m[5], p[1], m[6], m[7], m[8], p[2], 0, 0, 0, 1);
-    }
+    const { xpos: at, xmat: turn, qpos } = this.world.data;
+    for (const [body, group] of this.bodies)
+      put(group, turn.subarray(9 * body, 9 * body + 9), at.subarray(3 * body, 3 * body + 3));
     const step = new THREE.Vector3(qpos[0], qpos[1], 0.22).sub(this.controls.target).multiplyScalar(0.05);
     this.controls.target.add(step);
     this.camera.position.add(step);
@@ -53,7 +50,7 @@ export class Scene {
     const [w, h] = [this.canvas.clientWidth, this.canvas.clientHeight];
     ray.setFromCamera(new THREE.Vector2((2 * x) / w - 1, 1 - (2 * y) / h), this.camera);
     this.scene.updateMatrixWorld();
-    const [hit] = ray.intersectObjects(this.geoms.map(({ mesh }) => mesh));
+    const [hit] = ray.intersectObjects([...this.bodies.values()], true);
     return hit ? { body: hit.object.userData.body, place: hit.point.toArray() } : null;
   }
 
@@ -88,21 +85,6 @@ export class Scene {
     return arrow;
   }
 
-  // Eyes on a geom called head: they show where ahead is, along x.
-  _face() {
-    const { mujoco, model } = this.world;
-    const head = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM.value, "head");
-    const found = this.geoms.find(({ geom }) => geom === head);
-    if (!found) return;
-    const radius = model.geom_size[3 * head];
-    for (const side of [-1, 1]) {
-      const look = new THREE.MeshStandardMaterial({ color: "#1d2733", roughness: 0.3 });
-      const eye = new THREE.Mesh(new THREE.SphereGeometry(0.17 * radius, 20, 16), look);
-      eye.position.set(0.9, 0.36 * side, 0.12).multiplyScalar(radius);
-      found.mesh.add(eye);
-    }
-  }
-
   _light() {
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#aab4be", 1.7));
     this.sun = new THREE.DirectionalLight("#ffffff", 2.2);
@@ -132,21 +114,25 @@ export class Scene {
     this.scene.add(floor);
   }
 
-  _robot() {
-    const { model } = this.world;
-    const geoms = [];
-    for (let geom = 0; geom < model.ngeom; geom++) {
-      if (model.geom_type[geom] === PLANE || model.geom_group[geom] >= VISIBLE) continue;
-      const [r, g, b] = model.geom_rgba.slice(4 * geom, 4 * geom + 3);
-      const color = new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace);
-      const material = new THREE.MeshStandardMaterial({ color, roughness: 0.55 });
-      const mesh = new THREE.Mesh(shape(model.geom_type[geom], model.geom_size.slice(3 * geom, 3 * geom + 3)), material);
+  // A group of meshes for each body that has something to show, by its number.
+  _robot({ geoms, meshes }) {
+    const { mujoco, model } = this.world;
+    const shapes = Object.fromEntries(Object.entries(meshes).map(([name, mesh]) => [name, smooth(mesh)]));
+    const bodies = new Map();
+    for (const { body: name, type, size, color, place, turn, mesh: of } of geoms) {
+      const body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY.value, name);
+      if (!bodies.has(body)) {
+        bodies.set(body, Object.assign(new THREE.Group(), { matrixAutoUpdate: false }));
+        this.scene.add(bodies.get(body));
+      }
+      const material = new THREE.MeshStandardMaterial({ color: new THREE.Color().setRGB(...color, THREE.SRGBColorSpace), roughness: 0.55 });
+      const mesh = new THREE.Mesh(type === MESH ? shapes[of] : shape(type, size), material);
       Object.assign(mesh, { castShadow: true, receiveShadow: true, matrixAutoUpdate: false, frustumCulled: false });
-      mesh.userData.body = model.geom_bodyid[geom];
-      this.scene.add(mesh);
-      geoms.push({ mesh, geom });
+      mesh.userData.body = body;
+      put(mesh, turn, place);
+      bodies.get(body).add(mesh);
     }
-    return geoms;
+    return bodies;
   }
 
   _fit() {
@@ -157,10 +143,25 @@ export class Scene {
   }
 }
 
+// Turns (row by row) and places an object.
+function put(object, m, p) {
+  object.matrix.set(m[0], m[1], m[2], p[0], m[3], m[4], m[5], p[1], m[6], m[7], m[8], p[2], 0, 0, 0, 1);
+}
+
+function smooth({ vertices, faces }) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(vertices, 3));
+  geometry.setIndex(faces);
+  geometry.computeVertexNormals();
+  return geometry;
+}
+
 function shape(type, [a, b, c]) {
   switch (type) {
-    case SPHERE: return new THREE.SphereGeometry(a, 32, 24);
-    case CAPSULE: return new THREE.CapsuleGeometry(a, 2 * b, 12, 24).rotateX(Math.PI / 2);
+    case SPHERE: return new THREE.SphereGeometry(a, 24, 16);
+    case CAPSULE: return new THREE.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2);
+    case ELLIPSOID: return new THREE.SphereGeometry(1, 24, 16).scale(a, b, c);
+    case CYLINDER: return new THREE.CylinderGeometry(a, a, 2 * b, 32).rotateX(Math.PI / 2);
     case BOX: return new RoundedBoxGeometry(2 * a, 2 * b, 2 * c, 3, 0.25 * Math.min(a, b, c));
   }
   throw new Error(`The robot has a geom of type ${type}, which this page does not draw.`);

@@ -9,7 +9,13 @@ import pytest
 from recipes.playground import SOURCES
 from tests.shell import run
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.policies.webpage import MEASURABLE, check_measurable, describe_robot, robot_mjcf
+from zfall.policies.webpage import (
+    MEASURABLE,
+    check_measurable,
+    describe_look,
+    describe_robot,
+    robot_mjcf,
+)
 from zfall.robots.servos import SERVOS
 
 
@@ -33,6 +39,31 @@ def test_the_mjcf_with_its_fields_is_the_model_of_the_env(make_base):
             mujoco.mj_step(each, data)
     np.testing.assert_allclose(there.qpos, own.qpos, atol=1e-9)
     assert abs(own.qpos[0]) > 0.01
+
+
+def test_the_look_lies_on_the_bodies_that_the_page_moves(make_base):
+    """In a bent pose each geom is where the model of pictures has it, to a hundredth of a mm."""
+    env = make_base()
+    look, physics, pictures = describe_look(env), env.simulation.model, env.camera.model
+    here, there = mujoco.MjData(physics), mujoco.MjData(pictures)
+    here.qpos[:] = physics.qpos0 + np.random.default_rng(0).normal(0, 0.3, physics.nq)
+    there.qpos[:] = here.qpos
+    mujoco.mj_kinematics(physics, here)
+    mujoco.mj_kinematics(pictures, there)
+    shown = [g for g in range(1, pictures.ngeom) if pictures.geom_group[g] < 3]
+    assert len(look["geoms"]) == len(shown) > 50
+    for each, geom in zip(look["geoms"], shown, strict=True):
+        body = here.body(each["body"])
+        turn = body.xmat.reshape(3, 3)
+        np.testing.assert_allclose(
+            body.xpos + turn @ each["place"], there.geom_xpos[geom], atol=2e-5
+        )
+        np.testing.assert_allclose(
+            turn @ np.reshape(each["turn"], (3, 3)), there.geom_xmat[geom].reshape(3, 3), atol=5e-5
+        )
+        if "mesh" in each:
+            mesh = look["meshes"][each["mesh"]]
+            assert max(mesh["faces"]) < len(mesh["vertices"]) / 3
 
 
 def test_a_fall_is_a_force_on_any_region_but_the_feet(make_base):

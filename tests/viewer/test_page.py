@@ -58,7 +58,7 @@ def test_the_page_pushes_and_swaps(viewer):
     wrong = []
     with api.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page = browser.new_page(viewport={"width": 800, "height": 600})
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
         page.goto(f"http://127.0.0.1:{viewer.port}", timeout=120_000)

@@ -5,8 +5,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.simulation.look import HIDDEN
 from zfall.simulation.model import (
     FIELDS,
     identity_of,
@@ -82,6 +84,59 @@ def describe_robot(env: HumanoidEnv) -> dict[str, Any]:
             if (value := getattr(model, name)).dtype == np.float64
         },
     }
+
+
+def describe_look(env: HumanoidEnv) -> dict[str, Any]:
+    """What the robot looks like, as in pictures: the content of ``look.json``.
+
+    ``geoms`` lie on the bodies of ``robot.xml``: ``body``, ``type``, ``size`` [m], ``color`` (red,
+    green, blue), ``place`` ``(3,)`` [m] and ``turn`` ``(9,)`` in the axes of the body, row by row.
+    One of type mesh has, instead of a size, the name of one of ``meshes``: ``vertices`` ``(3 V,)``
+    [m] and ``faces`` ``(3 F,)``.
+
+    Args:
+        env: the base env.
+    """
+    model, physics = env.camera.model, env.simulation.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    bodies = {physics.body(i).name for i in range(physics.nbody)}
+    geoms: list[dict[str, Any]] = []
+    meshes: dict[str, dict[str, Any]] = {}
+    for geom in range(model.ngeom):
+        kind, rgba = int(model.geom_type[geom]), model.geom_rgba[geom]
+        if (material := model.geom_matid[geom]) >= 0:
+            rgba = model.mat_rgba[material]
+        if kind == mujoco.mjtGeom.mjGEOM_PLANE or model.geom_group[geom] >= HIDDEN or not rgba[3]:
+            continue
+        body = int(model.geom_bodyid[geom])
+        while model.body(body).name not in bodies:  # of the look itself, fixed to a link
+            body = int(model.body_parentid[body])
+        turn = data.xmat[body].reshape(3, 3).T
+        described = {
+            "body": model.body(body).name,
+            "type": kind,
+            "size": _short(model.geom_size[geom]),
+            "color": _short(rgba[:3]),
+            "place": _short(turn @ (data.geom_xpos[geom] - data.xpos[body])),
+            "turn": _short(turn @ data.geom_xmat[geom].reshape(3, 3)),
+        }
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.mesh(int(model.geom_dataid[geom]))
+            described["mesh"] = mesh.name
+            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+            face, faces = int(mesh.faceadr[0]), int(mesh.facenum[0])
+            meshes[mesh.name] = {
+                "vertices": _short(model.mesh_vert[first : first + count]),
+                "faces": model.mesh_face[face : face + faces].ravel().tolist(),
+            }
+        geoms.append(described)
+    return {"geoms": geoms, "meshes": meshes}
+
+
+def _short(values: NDArray[Any]) -> list[float]:
+    """Numbers of a picture: a hundredth of a millimeter is enough."""
+    return [round(float(value), 5) for value in values.ravel()]
 
 
 def check_measurable(about: Mapping[str, Any]) -> None:
