@@ -10,9 +10,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import remove_if_empty, shown_path
-from zfall.errors import SPOKEN
+from zfall.errors import SPOKEN, object_at
 from zfall.trust import trusting
-from zfall.values import Count, FractionAboveZero, Positive, Seed
+from zfall.values import Count, FractionAboveZero, Name, Positive, Seed
 
 from .shell import (
     Changes,
@@ -43,6 +43,7 @@ class Keys(TypedDict):
     video: bool
     filmed: Count
     slow: FractionAboveZero
+    measures: Sequence[Name]
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -69,6 +70,7 @@ def main(cfg: DictConfig) -> None:
         check_values(cfg)
         given = {"task": cfg.env} if choice("env") else {}
         change = [*servo_change(), *cfg.change]
+        followers = [object_at(path, "measures") for path in cfg.measures]
         player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=change, **given)
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
@@ -93,6 +95,7 @@ def main(cfg: DictConfig) -> None:
         actor,
         cfg.seconds,
         filmed=cfg.filmed,
+        followers=followers,
         follow=lambda steps, total: track(
             steps, "playing", total=total, console=console, transient=True
         ),
@@ -114,7 +117,7 @@ def main(cfg: DictConfig) -> None:
                 base.camera.model,
                 rows,
                 columns,
-                played.forces,
+                played.pushed,
                 path,
                 dt=frame(base),
                 slow=cfg.slow,
