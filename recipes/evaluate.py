@@ -40,6 +40,7 @@ class Keys(TypedDict):
     memory: bool
     trial: Whole | None
     video: bool
+    references: bool
     joint: Name
     servo: NotRequired[Any]
     trust: Changes
@@ -106,9 +107,15 @@ def main(cfg: DictConfig) -> None:
             for each in candidates:
                 folders[each.name].mkdir(parents=True, exist_ok=True)
             for each in candidates:
-                given = {"seed": cfg.seed, "num_envs": cfg.num_envs, "read": cfg.runs is not None}
                 results[each.name] = run_or_read(
-                    battery, each, folders[each.name], console=console, **given
+                    battery,
+                    each,
+                    folders[each.name],
+                    seed=cfg.seed,
+                    num_envs=cfg.num_envs,
+                    console=console,
+                    read=cfg.runs is not None,
+                    referenced=cfg.references,
                 )
         finally:  # of what was refused nothing stays
             for folder in folders.values():

@@ -14,6 +14,7 @@ from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
+from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import learning_curves
 from zfall.evaluation.run_files import read_table
 from zfall.evaluation.writers import Written, write_figures, write_summary, write_table
@@ -35,6 +36,7 @@ class Result:
         summary: headline figures, as in ``summary.json``.
         background: trials of ``pose_hold`` to be drawn with the policy's, if there are any.
         tables: of the battery's measures, by name.
+        referenced: whether polar plots show the lines of a pendulum and of other robots.
     """
 
     battery: Battery
@@ -44,6 +46,12 @@ class Result:
     summary: dict[str, Any]
     background: pd.DataFrame | None = None
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    referenced: bool = True
+
+    @property
+    def lines(self) -> list[Reference]:
+        """What polar plots compare with."""
+        return references(self.robot, self.battery.durations[0]) if self.referenced else []
 
 
 def result_of(
@@ -53,6 +61,8 @@ def result_of(
     trials: pd.DataFrame,
     background: pd.DataFrame | None = None,
     known: Mapping[str, Any] = NOTHING,
+    *,
+    referenced: bool = True,
 ) -> Result:
     """The result of these trials, summed up as the battery's kind and measures do.
 
@@ -63,6 +73,7 @@ def result_of(
         trials: with their outcomes.
         background: those of ``pose_hold``.
         known: what the summary says in addition.
+        referenced: whether polar plots have reference lines.
     """
     summary, tables = kind_of(battery).summary(battery, trials) | dict(known), {}
     for follower in followers_of(battery):
@@ -72,7 +83,7 @@ def result_of(
             if isinstance(value, pd.DataFrame):
                 tables[key], value = value, value.to_dict("records")
             summary[key] = value
-    return Result(battery, name, robot, trials, summary, background, tables)
+    return Result(battery, name, robot, trials, summary, background, tables, referenced)
 
 
 def write_results(result: Result, folder: Path, console: Console) -> None:

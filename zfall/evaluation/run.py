@@ -181,6 +181,7 @@ def run_or_read(
     num_envs: int,
     console: Console,
     read: bool = False,
+    referenced: bool = True,
 ) -> Result:
     """All trials of a battery, and its files; goes on where an interrupted call stopped.
 
@@ -192,12 +193,13 @@ def run_or_read(
         num_envs: worlds that run together, at most.
         console: to print on.
         read: whether results that are there already under the same conditions are read.
+        referenced: whether polar plots have reference lines.
     """
-    known = candidate.known(battery)
+    known, plain = candidate.known(battery), {"referenced": referenced}
     conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:
         console.print(f"{battery.name} of {candidate.name}: read from {folder}/trials.csv")
-        return result_of(battery, candidate.label, candidate.robot, done, known=known)
+        return result_of(battery, candidate.label, candidate.robot, done, None, known, **plain)
     only = left_out(OmegaConf.select(candidate.env_cfg, "training_only", default={}))
     gone = ", ".join(dict.fromkeys([*only, *starts_and_pushes(candidate.env_cfg)]))
     console.print(
@@ -215,7 +217,9 @@ def run_or_read(
     write_trials(folder / "trials.csv", trials, conditions)
     remove_trials(folder / "trials.partial.csv")
     shutil.rmtree(folder / "rounds", ignore_errors=True)
-    result = result_of(battery, candidate.label, candidate.robot, trials, background, known)
+    result = result_of(
+        battery, candidate.label, candidate.robot, trials, background, known, **plain
+    )
     write_results(result, folder, console)
     return result
 

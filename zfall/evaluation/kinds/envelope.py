@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.metrics import Outcomes
-from zfall.evaluation.pendulum import references
 from zfall.evaluation.plans import Pushes, grid, single_pushes
 from zfall.evaluation.plots import envelope_plot
 from zfall.evaluation.results import Result
@@ -92,7 +91,7 @@ class Envelope:
         tables = {result.name: envelope_table(result.trials)}
         if result.background is not None:
             tables["pose_hold"] = envelope_table(result.background)
-        lines = references(result.robot, result.battery.durations[0])
+        lines = result.lines
         title = "largest impulse recovered from"
         files = write_table(folder, "envelope", tables[result.name])
         files += write_figures(

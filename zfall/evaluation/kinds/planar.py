@@ -14,7 +14,6 @@ from rich.table import Table
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.metrics import Outcomes
-from zfall.evaluation.pendulum import references
 from zfall.evaluation.plans import Pushes, grid, single_pushes
 from zfall.evaluation.plots import overlay, profiles_plot, success_map
 from zfall.evaluation.results import Result
@@ -58,7 +57,7 @@ class Planar:
 
     def write(self, result: Result, folder: Path) -> Written:
         """The map of success over ``pose_hold``, and the strategies by side and size."""
-        summary, lines = result.summary, references(result.robot, result.battery.durations[0])
+        summary, lines = result.summary, result.lines
         title = f"{result.name}, {folder.name.replace('_', ' ')}"
         files = write_figures(
             folder,
@@ -78,7 +77,7 @@ class Planar:
         """I50 by direction of all, and in how many directions it is at least as large."""
         first = next(iter(results.values()))
         trials = {label: result.trials for label, result in results.items()}
-        lines = references(first.robot, first.battery.durations[0])
+        lines = first.lines
         title = f"I50, {folder.name.replace('_', ' ')}"
         files = write_figures(
             folder, "overlay", lambda path: overlay(trials, path, title=title, lines=lines)
