@@ -56,6 +56,7 @@ def test_who_goes_down_as_meant_is_not_said_to_fall(monkeypatch):
     assert [words for _, words, _ in out.said(2, 0.4)] == ["fell after 0.2 s"]
     assert [words for _, words, _ in out.said(3, 0.4)] == ["stays up"]
     assert [words for _, words, _ in out.said(4, 0.4)] == ["task ended after 0.2 s"]
+    assert [words for _, words, _ in out.said(4, 0.4, task=False)] == ["stays up"]
     assert out.reached["rested"].tolist() == [True, False, False, False, False]
     assert out.fell.tolist() == [True, True, True, False, False]
     assert out.up.tolist() == [False, False, False, True, False]

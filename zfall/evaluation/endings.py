@@ -61,14 +61,21 @@ class Endings:
                     self._changes.append((time, name, changed, table[name]))
                 self.reached[name] = table[name]
 
-    def said(self, world: int, end: float) -> Outcomes:
-        """What a film that ends then [s] says of a world, and from when on."""
+    def said(self, world: int, end: float, *, task: bool = True) -> Outcomes:
+        """What a film says of a world, and from when on.
+
+        Args:
+            world: its number.
+            end: of the film [s].
+            task: whether it matters that the task ended it before it fell.
+        """
         changes = [
             (time, f"{name if has[world] else 'fell'} after {time:.1f} s", bool(has[world]))
             for time, name, changed, has in self._changes
             if changed[world]
         ]
-        fall_time, ended = float(self.fall_time[world]), float(self.end_time[world])
+        fall_time = float(self.fall_time[world])
+        ended = float(self.end_time[world]) if task else math.nan
         return changes or said(fall_time, end, ended=ended)
 
 

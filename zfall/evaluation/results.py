@@ -1,6 +1,6 @@
 """What a battery found of a policy, and the files in which it is kept."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,9 @@ from zfall.evaluation.plots import learning_curves
 from zfall.evaluation.run_files import read_table
 from zfall.evaluation.writers import Written, write_figures, write_summary, write_table
 from zfall.robots import Robot
+from zfall.terminal import Sheet, print_sheet
 from zfall.trust import texts_of_file
+from zfall.versions import versions
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -86,15 +88,20 @@ def result_of(
     return Result(battery, name, robot, trials, summary, background, tables, referenced)
 
 
-def write_results(result: Result, folder: Path, console: Console) -> None:
+def write_results(
+    result: Result, folder: Path, console: Console, given: Sequence[str] | None = None
+) -> None:
     """Writes ``summary.json``, tables and figures of a battery, and prints its headlines.
 
     Args:
         result: of one policy; ``trials.csv`` is there already.
         folder: where to, named by the battery and its setting.
         console: to print on.
+        given: what the shell gave to the recipe besides the run, to show a trial again.
     """
-    write_summary(folder, result.summary)
+    made: dict[str, Any] = {"versions": versions()}
+    made |= {} if given is None else {"given": list(given)}
+    write_summary(folder, result.summary | made)
     written = kind_of(result.battery).write(result, folder)
     for name, table in result.tables.items():
         written.files += write_table(folder, name, table)
@@ -134,7 +141,8 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
         files += write_figures(folder, "learning_curves", draw)
     write_summary(folder, summaries)
     _print(written, console)
-    console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
+    named = paired.assign(run=list(labelled))
+    print_sheet(Sheet(named, file=str(folder / "comparison.csv")), console)
     _print_files(folder, files + written.files, console)
 
 
@@ -146,10 +154,10 @@ def _is_figure(key: str, value: Any) -> bool:
 
 def _print(written: Written, console: Console) -> None:
     for each in written.shown:
-        if isinstance(each, str):
-            console.print(each, markup=False, soft_wrap=True)
+        if isinstance(each, Sheet):
+            print_sheet(each, console)
         else:
-            console.print(each)
+            console.print(each, markup=False, soft_wrap=True)
 
 
 def _print_files(folder: Path, names: list[str], console: Console) -> None:

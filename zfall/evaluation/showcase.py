@@ -28,6 +28,7 @@ from zfall.evaluation.run_files import read_table
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import Outcomes, film, frame
 from zfall.evaluation.writers import write_summary
+from zfall.terminal import print_sheet
 
 SIDES = {
     "from behind": 0.0,
@@ -89,7 +90,7 @@ def show(
     title = f"share recovered, short {battery.name}"
     lines = references(robot_of(cfg.env), battery.durations[0])
     success_map(after, plots / f"{battery.name}.png", title=title, baseline=baseline, lines=lines)
-    console.print(success_by_size(summaries))
+    print_sheet(success_by_size(summaries), console)
     if cfg.showcase.video:
         with console.status("video"):
             video(battery, cfg.env, actor, folder / "video.mp4", console)
@@ -170,5 +171,5 @@ def record(
         if step % every == 0:
             qpos.append(base.simulation.qpos[: len(SIDES)].numpy().copy())
             ends.append(step + 1)
-    outcomes = [endings.said(world, LENGTH) for world in range(len(SIDES))]
+    outcomes = [endings.said(world, LENGTH, task=False) for world in range(len(SIDES))]
     return Recorded(np.stack(qpos), log.frames(ends), outcomes)

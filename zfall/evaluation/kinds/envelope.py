@@ -15,7 +15,8 @@ from zfall.evaluation.plans import Pushes, grid, single_pushes
 from zfall.evaluation.plots import envelope_plot
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head
-from zfall.evaluation.writers import Written, markdown, write_figures, write_table
+from zfall.evaluation.writers import Written, write_figures, write_table
+from zfall.terminal import Sheet
 from zfall.values import shown
 
 
@@ -97,7 +98,7 @@ class Envelope:
         files += write_figures(
             folder, "envelope", lambda path: envelope_plot(tables, path, title=title, lines=lines)
         )
-        return Written(files, [markdown(_by_body(result.trials).reset_index())])
+        return Written(files, [Sheet(_by_body(result.trials).reset_index(), "largest impulse")])
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
         """Nothing: other policies are put to other trials."""
