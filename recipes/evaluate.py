@@ -20,6 +20,7 @@ from .shell import (
     Run,
     check_recipe,
     choice,
+    given_but,
     one_line_errors,
     servo_change,
     start,
@@ -116,6 +117,7 @@ def main(cfg: DictConfig) -> None:
                     console=console,
                     read=cfg.runs is not None,
                     referenced=cfg.references,
+                    shell=given_but("run", "runs", "num_envs", "references"),
                 )
         finally:  # of what was refused nothing stays
             for folder in folders.values():

@@ -111,6 +111,17 @@ def choice(group: str) -> str | None:
     return None if chosen in (None, "null") else str(chosen)
 
 
+def given_but(*keys: str) -> list[str]:
+    """What the shell gave to this recipe, folders of configs too, without these keys."""
+    config = HydraConfig.get()
+    overrides = config.overrides.task
+    words = [word for word in overrides if word.partition("=")[0].lstrip("+~") not in keys]
+    sources = [
+        each.path for each in config.runtime.config_sources if each.provider == "command-line"
+    ]
+    return [*words, *(f"--config-dir={path}" for path in sources)]
+
+
 def servo_change() -> list[str]:
     """The change of an env that ``servo=NAME`` asks for, see ``zfall.envs.tables.changed``."""
     chosen = choice("servo")
