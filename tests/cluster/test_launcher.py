@@ -72,6 +72,9 @@ def test_a_job_whose_worker_is_killed_goes_on_from_its_last_checkpoint(
     assert cut[2] > 0  # not anew
     assert {*cut[1::2]} == {1}  # threads: the cores of a job
     assert not list(tmp_path.rglob(".of_*"))
+    again = sweep(cluster, "until=42,43", *files)  # other jobs in the same folders: what is there
+    assert again.returncode == 0, again.stderr  # is sent, or it would be written over
+    assert [each[-2] for each in begins(folder)] == [40, 41]
 
 
 def test_a_job_that_fails_is_named_and_the_others_end_well(cluster, tmp_path):

@@ -165,7 +165,7 @@ class RayLauncher(Launcher):
                 f"hydra.sweep.dir must lie in the working directory with {KEY}.shared=false, "
                 f"got {folder}."
             )
-        reads = {job.number: paths_read(job.config, here) for job in jobs}
+        reads = {job.number: [*paths_read(job.config, here), str(job.folder)] for job in jobs}
         names = {job.number: " ".join(job.config.hydra.overrides.task) for job in jobs}
         node = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
         actor = ray.remote(num_cpus=0, scheduling_strategy=node)(Keeper)
