@@ -1,4 +1,4 @@
-"""Recovery over the width of randomisation, as a table: ``python -m recipes.systems.sweep run=R``.
+"""Recovery over the width of randomisation, as a table: ``python -m recipes.sweep run=R``.
 
 The battery's world is made narrower and wider, and the policy put to each. A call with the same
 ``hydra.run.dir`` goes on where an interrupted one stopped.
@@ -18,7 +18,7 @@ from zfall.errors import SPOKEN
 from zfall.trust import trusting
 from zfall.values import Count, NotNegative, Positive, Rule, Seed
 
-from ..shell import (
+from .shell import (
     Changes,
     Checkpoint,
     Run,
@@ -65,6 +65,11 @@ def main(cfg: DictConfig) -> None:
         console = Console()
         options = {key: cfg[key] for key in ("starts", "impulses") if cfg[key] is not None}
         table = plain_containers(cfg.battery)
+        if not table.get("world"):
+            raise ValueError(
+                f"battery.world must be a table that draws something, got null of "
+                f"{cfg.battery.name}: zeroth_sweep has one."
+            )
         batteries = {
             width: battery_of({**table, "world": widened(table["world"], width)}, **options)
             for width in cfg.widths
