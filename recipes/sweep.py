@@ -85,10 +85,9 @@ def main(cfg: DictConfig) -> None:
         conditions = tested.conditions(battery, seed=cfg.seed)
         done = read_trials(path, conditions)
         if done is None:
-            given = {"seed": cfg.seed, "num_envs": cfg.num_envs, "console": console}
-            under = {"folder": path.parent, "conditions": conditions}
-            label = f"width {width:g}"
-            done = trials_of(battery, tested, label=label, **given, **under)
+            given: dict[str, Any] = {"seed": cfg.seed, "num_envs": cfg.num_envs}
+            given |= {"console": console, "folder": path.parent, "conditions": conditions}
+            done = trials_of(battery, tested, label=f"width {width:g}", **given)
             write_trials(path, done, conditions)
         found[width] = done
     rows = sweep_table(first, found)
