@@ -86,7 +86,7 @@ class DrawnTogether(TorchFunctionMode):
         if axis is None:
             return None
         shape = tuple(1 if i == axis else size for i, size in enumerate(like.shape))
-        order = tuple(sorted(range(like.dim()), key=lambda i: (-like.stride(i), i)))
+        order = tuple(sorted(range(like.dim()), key=lambda i: (-like.stride()[i], i)))
         return self.supply(Draw(method, values, shape, order, axis, like.dtype, like.device))
 
 
