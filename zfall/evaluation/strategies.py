@@ -12,6 +12,7 @@ from torch import Tensor
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.followers import Ended, Moment
 from zfall.robots import GRAVITY
+from zfall.robots.anatomy import hips_of
 from zfall.rotations import tilt
 
 STRIDE = 0.02  # a foot that comes down so far from where it left has stepped [m]
@@ -79,7 +80,7 @@ class Strategies:
 
     def __init__(self, env: HumanoidEnv):
         n, robot = env.num_envs, env.robot
-        self.hips = [i for i, name in enumerate(robot.joints) if _bends_at_the_hip(name)]
+        self.hips = hips_of(robot)
         self.unit = robot.mass * robot.com_height * (GRAVITY * robot.com_height) ** 0.5
         self.control_dt = env.control_dt
         self.displacement = torch.zeros(n)
@@ -200,7 +201,3 @@ def beyond_usual(trials: pd.DataFrame, counted: pd.DataFrame) -> dict[str, pd.Se
 def _usual(amounts: NDArray[np.float64]) -> float:
     """What 95 % of the control trials do not exceed, one of their values; infinite of none."""
     return float(np.quantile(amounts, USUAL, method="inverted_cdf")) if len(amounts) else np.inf
-
-
-def _bends_at_the_hip(joint: str) -> bool:
-    return joint.endswith(("hip_pitch", "hip_roll"))

@@ -8,7 +8,7 @@ from torchrl.envs import TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.robots import Ball
+from zfall.robots import ZEROTH01, Ball, Robot
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
@@ -210,14 +210,20 @@ def choose(target: str, names: set[str]) -> dict[str, Any]:
     return copy.deepcopy({"action": TARGETS[target]} | chosen)
 
 
-def build_base(num_envs: int = 4) -> HumanoidEnv:
-    return HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=Ball(mass=0.2, radius=0.03))
+def build_base(num_envs: int = 4, robot: Robot = ZEROTH01) -> HumanoidEnv:
+    ball = Ball(mass=0.2, radius=0.03)
+    return HumanoidEnv(num_envs=num_envs, control_dt=0.04, ball=ball, robot=robot)
 
 
-def build(table: tuple[str, set[str]], num_envs: int = 4) -> TransformedEnv:
-    """An env with these rows, for one kind of target."""
-    base = build_base(num_envs)
+def build(
+    table: tuple[str, set[str]], num_envs: int = 4, robot: Robot = ZEROTH01, **files: str
+) -> TransformedEnv:
+    """An env with these rows, for one kind of target, of a robot with its own bank and catches."""
+    base, rows = build_base(num_envs, robot), choose(*table)
+    for name, row in (("falling", "bank"), ("kneel_reference", "catches")):
+        if row in files and name in rows:
+            rows[name][row] = files[row]
     torch.manual_seed(0)  # of the networks that transforms bring
-    env = make_env(base, choose(*table))
+    env = make_env(base, rows)
     env.set_seed(0)
     return env
