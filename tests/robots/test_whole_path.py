@@ -42,9 +42,10 @@ def test_a_robot_goes_from_its_mjcf_to_a_policy_for_its_computer(tmp_path, name,
         "toy": lambda: yaml_of("toy", toy_mjcf(tmp_path)),
         "block": lambda: yaml_of("block", bare_block(tmp_path)),
     }[name]()
-    (tmp_path / "robot").mkdir()
-    (tmp_path / "robot" / f"{name}.yaml").write_text(text)
-    folder, own = tmp_path / "run", ["--config-dir", str(tmp_path)]
+    conf = tmp_path / "conf"
+    (conf / "robot").mkdir(parents=True)
+    (conf / "robot" / f"{name}.yaml").write_text(text)
+    folder, own = tmp_path / "run", ["--config-dir", str(conf)]
     trained = run("train", *own, f"robot={name}", *TINY, f"hydra.run.dir={folder}")
     assert trained.returncode == 0, trained.stderr
     assert pd.read_csv(folder / "metrics.csv")["frames"].tolist() == [32, 64]
@@ -100,11 +101,11 @@ def test_a_bare_block_tips_at_the_impulse_of_rigid_body_mechanics(tmp_path):
 
 def test_a_battery_scales_its_times_and_not_its_sizes(tmp_path):
     """T sqrt(h / g): the toy is 0.2525 m high and the default robot 0.22 m."""
-    (tmp_path / "robot").mkdir()
     later = math.sqrt(0.2525 / 0.22)
     cfg = compose_config(["num_envs=4"]).env
     toy = {"_target_": "zfall.robots.Robot", "name": "toy", "mjcf": str(toy_mjcf(tmp_path))}
     OmegaConf.update(cfg, "base_env.robot", toy, force_add=True)
+    cfg.base_env.servos = None
     result = evaluate("pose_hold", "planar", env=cfg, starts=1, directions=1, impulses=[0.1])
     pushed = result.trials[result.trials["impulse"] > 0].iloc[0]
     assert pushed["duration_s"] == pytest.approx(0.1 * later, abs=1e-3)
