@@ -14,6 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from zfall.cluster.launcher import register
 from zfall.commands import remove_if_empty
 from zfall.complaints import check_table
 from zfall.configs import config_folder, plain_containers
@@ -42,6 +43,7 @@ def start(main: Callable[[], None]) -> None:
     logging.getLogger("hydra.utils").setLevel(logging.CRITICAL)  # it also logs what it raises
     logging.getLogger("OpenGL").setLevel(logging.WARNING)  # tells of each part that is optional
     with one_line_errors(SPOKEN):
+        register()
         try:
             composed_first(main)
         except KeyboardInterrupt:

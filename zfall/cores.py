@@ -2,12 +2,25 @@
 
 import os
 
+_granted: int | None = None  # by whoever shares out the machine
+
 
 def usable_cores() -> int:
     """Cores that this process may run on; where the system does not say, all of the machine.
 
     Linux knows which cores a process is bound to. macOS and Windows have no such call.
     """
+    if _granted is not None:
+        return _granted
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def use_cores(count: int) -> None:
+    """Has physics and torch use so many cores, as others share the machine."""
+    import torch
+
+    global _granted
+    _granted = count
+    torch.set_num_threads(count)

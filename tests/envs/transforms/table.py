@@ -74,6 +74,7 @@ TABLE = {  # in the order of a yaml
         "times": [0.1, 0.2, 0.3],
     },
     "ball": {"_target_": f"{_PUSHES}.ThrownBall", "speed": [3, 4], "times": [0.1, 0.3]},
+    "ball_push": {"_target_": f"{_PUSHES}.BallPush", "flight": 0.1},
     "random": {
         "_target_": f"{_RANDOM}.DomainRandomization",
         "interval": 0.12,
@@ -86,8 +87,9 @@ TABLE = {  # in the order of a yaml
     },
     "command": {
         "_target_": "zfall.envs.transforms.commands.Command",
-        "ranges": {"vx": [-0.1, 0.3], "height": [-0.02, 0.0]},
+        "ranges": {"vx": [-0.1, 0.3], "yaw": [-1.0, 1.0], "height": [-0.02, 0.0]},
         "interval": [0.08, 0.2],
+        "turning": True,
     },
     "last_action": {"_target_": f"{_WINDOWS}.LastAction"},
     "mean": {"_target_": f"{_WINDOWS}.MeanVelocity"},
@@ -163,6 +165,7 @@ TABLE = {  # in the order of a yaml
     "base_pose": {"_target_": f"{_SENSING}.BasePose"},
     "feet": {"_target_": f"{_SENSING}.FeetInBase"},
     "imu": {"_target_": f"{_SENSING}.ImuOrientation"},
+    "imu_to_heading": {"_target_": f"{_SENSING}.OrientationToHeading"},
     "history": {
         "_target_": f"{_SENSING}.ObservationHistory",
         "keys": [IMU[0], "joint_position"],
@@ -191,6 +194,7 @@ NEEDS = {  # other rows that a row cannot be without
     "mirrored_falls": {"kneel_reference", "mode"},
     "near": {"observation"},
     "reward": {"last_action"},
+    "imu_to_heading": {"command"},
     "stable": {"mode"},
     "zero": {"random"},
 }
