@@ -155,14 +155,15 @@ def test_the_mirror_of_the_default_robot_is_found_as_it_is_declared():
     [
         ({"free": ""}, "must have a free joint, it has none"),
         ({"foot": '<geom type="box" size="0.06 0.03 0.01" mass="0.1" contype="0" conaffinity="0"/>',
-          "more": ""}, "left_shank|falls"),
+          "more": ""}, "it falls: after"),
         ({"foot": '<geom size="0.01" pos="0 0 -0.02" mass="0.1"/>'}, "it falls: after"),
         ({"key": 'qpos="0 0 0.3 1 0 0 0 1.2 0 0 -1.2 0 0"'}, "it falls: after"),
         ({"actuator": '<motor joint="{name}"/>'}, "left_hip must have a largest torque"),
         ({"actuator": '<velocity joint="{name}" kv="1" forcerange="-1 1"/>'}, "must be a motor"),
         ({"actuator": ""}, "must have actuators on hinge joints, it has none"),
         ({"actuator": '<motor joint="{name}" ctrlrange="-1 1"/><motor joint="{name}"/>'}, "one actuator"),
-        ({"more": "<asset><mesh file='gone.stl'/></asset>"}, "gone.stl"),
+        ({"foot": '<geom type="mesh" mesh="gone" mass="0.1"/>',
+          "more": "<asset><mesh name='gone' file='gone.stl'/></asset>"}, "gone.stl"),
         ({"more": "<nonsense/>"}, "mjcf must be an MJCF"),
     ],
 )  # fmt: skip
