@@ -114,6 +114,5 @@ def choice(group: str) -> str | None:
 
 
 def servo_change() -> list[str]:
-    """The change of an env that ``servo=NAME`` asks for, see ``zfall.envs.tables.changed``."""
-    chosen = choice("servo")
-    return [] if chosen is None else [f"servo={chosen}"]
+    """Changes of an env that ``robot=NAME`` and ``servo=NAME`` ask for, see ``tables.changed``."""
+    return [f"{group}={name}" for group in ("robot", "servo") if (name := choice(group))]

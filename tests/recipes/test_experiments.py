@@ -20,6 +20,7 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
         *(name + end for name in PAPERS for end in ("", "_laptop")),
         "best_gru",
         "push_to_kneel_softly",
+        "zeroth_walk",
     ],
 )
 def test_every_experiment_learns(name, tmp_path):

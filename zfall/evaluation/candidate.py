@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall.configs import compose_config, plain_containers
 from zfall.envs import tables
+from zfall.envs.make import left_out
 from zfall.envs.tables import changed, contents_of, robot_of
 from zfall.envs.worlds import World, in_world, privileged, replaced
 from zfall.evaluation.baselines import baseline_names, load_baseline, passive
@@ -217,7 +218,18 @@ def load_candidates(
                     "battery.world.PART.NAME.KEY=VALUE changes that."
                 )
     kept = [candidate.keep(keep) for candidate in candidates]
+    for candidate in kept:
+        _check_acts(candidate, change)
     return kept if memory else [candidate.forgetting() for candidate in kept]
+
+
+def _check_acts(candidate: Candidate, change: Sequence[str]) -> None:
+    """Refuses changes of transforms that the battery leaves out; without effect they mislead."""
+    idle = left_out(candidate.env_cfg.get("training_only") or ())
+    for name in {_transform_of(x) for x in change} & {*idle}:
+        own = name in starts_and_pushes(candidate.env_cfg)
+        remedy = "a battery has its own" if own else f"keep=[{name}] leaves it on"
+        raise ValueError(f"change must name what acts, {name} is left out of trials: {remedy}.")
 
 
 def _transform_of(change: str) -> str:

@@ -34,6 +34,8 @@ _FREE = (
     "showcase",
     "logger",
     "name",
+    "launch",
+    "device",
 )  # may change
 
 
@@ -146,7 +148,8 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
             times.append(time.perf_counter())
             losses = learner.learn(batch)
             times.append(time.perf_counter())
-            metrics = batch_metrics(batch, learner.carrier, control_dt)
+            metrics = batch_metrics(batch, learner.carrier, control_dt, learner.ranks)
+            learner.ranks.check_same(learner.parameters)
             figures = exploration_of(learner.actor, batch) if run.loggers else {}
             run.write(learner, metrics, losses, times, figures)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates in (1, total):
@@ -166,7 +169,9 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
                 of = f"{run.stage.name} " if run.stage.name else ""
                 console.print(f"{of}{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
-            if stop.is_set() and not (learner.updates == total and run.at_last_stage):
+            if learner.ranks.any(stop.is_set()) and not (
+                learner.updates == total and run.at_last_stage
+            ):
                 run.save(learner, "last")
                 return False
     return True

@@ -31,8 +31,8 @@ from zfall.envs.transforms.starts import ScriptedStart
 
 DATA, STEPS, PHYSICS = "data", "steps", "physics"  # what a transform works on
 ON = dict.fromkeys(
-    ("action", "zero", "noise", "bits", "angles", "base_pose", "feet", "imu", "observation",
-     "normalized", "near"), DATA,
+    ("action", "zero", "noise", "bits", "angles", "base_pose", "feet", "imu", "imu_to_heading",
+     "observation", "normalized", "near"), DATA,
 ) | {"last_action": STEPS}  # fmt: skip
 WITHOUT_ENV = {"noise", "near"}  # on data they draw from torch's own generator
 ROWS = ["action", "velocity", *(name for name in TABLE if name != "limit"), "scripted"]
