@@ -8,11 +8,11 @@ from torchrl.envs import TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import make_env
-from zfall.robots import Ball
+from zfall.robots import ZEROTH01, Ball
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
-_TERMS = "zfall.envs.terms"
+_TERMS, _FOREIGN = "zfall.envs.terms", "zfall.envs.transforms.foreign.terms"
 _ESTIMATION, _WINDOWS = "zfall.envs.transforms.estimation", "zfall.envs.transforms.windows"
 TARGETS = {
     "position": {"_target_": f"{_ACTIONS}.JointPositionTarget", "scale": 0.6},
@@ -173,6 +173,17 @@ TABLE = {  # in the order of a yaml
         "out_key": "observation",
         "measured": True,
         "keys": [*IMU, "joint_position", "joint_velocity"],
+    },
+    "foreign": {
+        "_target_": "zfall.envs.transforms.foreign.ForeignObservation",
+        "joints": sorted(ZEROTH01.joints),
+        "terms": [
+            {"of": {"_target_": f"{_FOREIGN}.JointPosition"}, "scale": 0.5},
+            {"of": {"_target_": f"{_FOREIGN}.PreviousAction"}, "clip": [-1.0, 1.0]},
+            {"of": {"_target_": f"{_FOREIGN}.GaitClock", "frequency": 1.5}},
+        ],
+        "history": 2,
+        "out_key": "foreign",
     },
     "normalized": {
         "_target_": f"{_SENSING}.NormalizedVector",
