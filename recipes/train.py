@@ -28,6 +28,7 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_recipe(cfg, TrainKeys)
     from zfall.policies.load import check_holds_run
+    from zfall.training.begin import AUTO
     from zfall.training.checks import check_config
     from zfall.training.logging import quiet_threads
     from zfall.training.meeting import owned_by_all, ranks_of, shared_folder
@@ -36,14 +37,14 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors(SPOKEN), removed_if_unused(made), trusting(cfg.trust):
         with one_line_errors():
             check_config(cfg)
-        if cfg.resume is None:
+        if cfg.resume in (None, AUTO):
             folder = made
         else:
             folder = Path(cfg.resume)
             check_holds_run(folder, "resume")
             remove_if_empty(made)  # it is not needed
         if is_launcher(cfg.launch.ranks):
-            command = again(f"{__package__}.train", made if cfg.resume is None else None)
+            command = again(f"{__package__}.train", made if folder == made else None)
             raise SystemExit(run_ranks(command, cfg.launch.ranks, folder))
         with ranks_of(cfg) as ranks:
             folder = shared_folder(ranks, folder)

@@ -88,6 +88,7 @@ def evaluate(
             memory=memory,
             world=given.world,
         )
+    given = given.of_size(candidate.robot)
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)
     known = candidate.known(given)
     return result_of(given, candidate.label, candidate.robot, trials, known=known)
@@ -193,6 +194,7 @@ def run_or_read(
         console: to print on.
         read: whether results that are there already under the same conditions are read.
     """
+    battery = battery.of_size(candidate.robot)
     known = candidate.known(battery)
     conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:

@@ -8,15 +8,25 @@ from rich.console import Console
 
 from zfall import checkpoint
 from zfall.commands import shown_path
+from zfall.configs import plain_containers
+from zfall.meaning import differences, meaning
 from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
-from zfall.training.loop import number_of_updates, resumed_config
+from zfall.training.loop import free_overrides, number_of_updates, resumed_config
 from zfall.training.parts import with_own_worlds
 from zfall.training.ranks import Ranks
 from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
-from zfall.training.stages import begin_stage, check_lengths, check_stages, stage_reached
+from zfall.training.stages import (
+    begin_stage,
+    check_lengths,
+    check_stages,
+    stage_reached,
+    written_out,
+)
 from zfall.training.trial_step import try_one_step
 from zfall.trust import config_of_file, targets_of, trusting
+
+AUTO = "auto"  # in place of a folder to go on from: the one of the run, if it was begun
 
 
 def begin(
@@ -35,11 +45,21 @@ def begin(
         ValueError: on a config or a checkpoint of which no training can be made.
     """
     state, notes, path = None, list[str](), folder / "checkpoints" / "last.pt"
+    if cfg.resume == AUTO and not path.exists():
+        for name in ("metrics.csv", "timing.csv"):  # of a run that was cut before its first save
+            (folder / name).unlink(missing_ok=True)
+        cfg.resume = None
     if cfg.resume is not None:
         state = checkpoint.load(path, checkpoint.TRAINING)
         check_version(state["run"], folder)
         stored = state["run"].get("whole_config", state["config"])
-        stored = OmegaConf.to_yaml(config_of_file(stored, path))  # before any of it is built
+        own = cfg.resume == AUTO
+        with trusting(targets_of(cfg) if own else []):
+            config = config_of_file(stored, path)  # before any of it is built
+        if own:
+            check_same_run(config, cfg, folder)
+            overrides = free_overrides(overrides)
+        stored = OmegaConf.to_yaml(config)
         check_lengths(stored, overrides, state["run"].get("stage", 0))
         cfg = resumed_config(stored, cfg, overrides, folder)
     elif holds_run(folder):
@@ -79,3 +99,21 @@ def begin(
         for line in notes:
             console.print(line, soft_wrap=True)
     return learner, run
+
+
+def check_same_run(stored: DictConfig, given: DictConfig, folder: Path) -> None:
+    """Refuses to go on by ``resume=auto`` with a run of another config, but for its length.
+
+    Raises:
+        ValueError: naming the first key that differs.
+    """
+    configs = (stored, OmegaConf.create(written_out(given)))
+    before, now = ({str(k): v for k, v in plain_containers(each).items()} for each in configs)
+    for config in (before, now):
+        for key in ("total_frames", "resume"):
+            config.pop(key, None)
+    if differing := differences(meaning(before), meaning(now)):
+        raise ValueError(
+            f"{differing[0]} must be that of the run in {folder}, with which resume={AUTO} goes "
+            "on; another hydra.run.dir begins a run."
+        )

@@ -30,6 +30,30 @@ from zfall.trust import targets_of, trusting
 Look = Callable[[Learner], None]
 
 _OF_THE_CALL = ("resume", "trust")  # not of the run
+_FREE = (
+    "total_frames",
+    "checkpoint_every",
+    "showcase",
+    "logger",
+    "name",
+    "launch",
+    "device",
+)  # may change
+
+
+def free_overrides(overrides: Sequence[str]) -> list[str]:
+    """Those overrides from the shell that may be given to a run which goes on."""
+    return [override for override in overrides if _is_free(_key_of(override))]
+
+
+def _key_of(override: str) -> str:
+    return override.partition("=")[0].lstrip("+")
+
+
+def _is_free(key: str) -> bool:
+    parts = key.split(".")
+    length = len(parts) == 3 and parts[0] == "stages" and parts[2] == "total_frames"
+    return key in _OF_THE_CALL or parts[0] in _FREE or length
 
 
 def resumed_config(
@@ -40,15 +64,12 @@ def resumed_config(
     Raises:
         ValueError: on a value that cannot change in the middle of a run.
     """
-    free = ("total_frames", "checkpoint_every", "showcase", "logger", "name", "launch", "device")
-    keys = [override.partition("=")[0].lstrip("+") for override in overrides]
+    keys = [_key_of(override) for override in overrides]
     for key in keys:
-        parts = key.split(".")
-        length = len(parts) == 3 and parts[0] == "stages" and parts[2] == "total_frames"
-        if key not in _OF_THE_CALL and key.split(".")[0] not in free and not length:
+        if not _is_free(key):
             raise ValueError(
                 f"{key} must not be given with resume, it is that of {folder}; "
-                f"only {', '.join(free)} may change."
+                f"only {', '.join(_FREE)} may change."
             )
     cfg = DictConfig(OmegaConf.create(stored))
     # What a run from before these keys did; an experiment says what new ones do.

@@ -78,7 +78,7 @@ def _store(rank: int, size: int, wait: timedelta) -> dist.Store:
             f"MASTER_ADDR and MASTER_PORT must lead to where all {size} ranks meet, rank {rank} "
             f"met nobody: {_first_line(error)}."
         ) from error
-    return store  # type: ignore[no-any-return]
+    return store
 
 
 def _all_here(store: dist.Store, rank: int, size: int, seconds: float) -> None:
