@@ -9,6 +9,7 @@ setup(
     package_dir={"zfall.recipes": "recipes"},
     package_data={
         "zfall": ["py.typed"],
+        "zfall.cluster": ["*.yaml", "plugins/hydra_plugins/*.py"],
         "zfall.robots": ["assets/*"],
         "zfall.falling": ["assets/*"],
         "zfall.evaluation": ["*.j2"],

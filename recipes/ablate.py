@@ -31,6 +31,7 @@ class Keys(TypedDict):
     rebuild: bool
     force: bool
     launcher: Name
+    launch: Mapping[Name, Any] | None
     jobs: Whole | None
     trust: Sequence[Name]
 
@@ -61,7 +62,8 @@ def main(cfg: DictConfig) -> None:
         submit = None
         if cfg.launcher != "basic":
             log = runs / f"{study.name}.log"
-            submit = partial(sweep, module=f"{__package__}.ablate", launcher=cfg.launcher, log=log)
+            where = {"launcher": cfg.launcher, "launch": cfg.launch, "log": log}
+            submit = partial(sweep, "jobs", module=f"{__package__}.ablate", **where)
         how = {"rebuild": cfg.rebuild, "force": cfg.force, "submit": submit}
         study.run(results=results, runs=runs, **how)
         print_tables(study, Store(results, runs), Console())

@@ -94,7 +94,7 @@ def main(cfg: DictConfig) -> None:
             memory=cfg.memory,
             world=battery.world,
         )
-        setting = setting_of(cfg, options, str(choice("battery")), choice("servo"))
+        setting = setting_of(cfg, options, str(choice("battery")), choice("servo"), choice("robot"))
         places = {name: output / name if cfg.runs is not None else output for name in names}
         folders = {each.name: each.results(places[each.name]) / setting for each in candidates}
         if cfg.trial is not None:

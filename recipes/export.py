@@ -74,7 +74,7 @@ def main(cfg: DictConfig) -> None:
             line = bar.add_task(name)
             return lambda done, total: bar.update(line, completed=done, total=total)
 
-        battery = load_battery("planar", starts=starts)
+        battery = load_battery("planar", starts=starts).of_size(policy.robot)
         text = compare_planar(battery, policy.env_cfg, policy.actor, folder, follow)
     print(f"{text}\nwrote {place}/planar.csv")
 

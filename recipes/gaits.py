@@ -21,15 +21,16 @@ def main(seconds: float = 10.0) -> None:
 
     from zfall.envs.open_loop import KINDS, follow, pose_hold
     from zfall.motions import library
-    from zfall.robots import ZEROTH01
+    from zfall.robots import DEFAULT
     from zfall.terminal import Sheet, print_sheet
 
-    motions = library.make_motions(ZEROTH01, library.GAITS)
-    path = library.motions_file(ZEROTH01)
+    walks = library.gaits_of(DEFAULT)
+    motions = library.make_motions(DEFAULT, walks)
+    path = library.motions_file(DEFAULT)
     library.save_motions(motions, path)
     title = f"{path.name}: shortest time on the feet, and mean speed, by command"
     columns, rows = ["motion", "step, mm", "joints, rad/s", *KINDS, "standing pose"], []
-    for name, gait in library.GAITS.items():
+    for name, gait in walks.items():
         fastest = np.abs(motions[name].states["joint_velocity"]).max()
         followed = [_cell(gait, follow(gait, kind, seconds=seconds)) for kind in KINDS]
         hold = pose_hold(gait, seconds=seconds)

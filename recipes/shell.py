@@ -14,6 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from zfall.cluster.launcher import register
 from zfall.commands import remove_if_empty
 from zfall.complaints import check_table
 from zfall.configs import config_folder, plain_containers
@@ -42,6 +43,7 @@ def start(main: Callable[[], None]) -> None:
     logging.getLogger("hydra.utils").setLevel(logging.CRITICAL)  # it also logs what it raises
     logging.getLogger("OpenGL").setLevel(logging.WARNING)  # tells of each part that is optional
     with one_line_errors(SPOKEN):
+        register()
         try:
             composed_first(main)
         except KeyboardInterrupt:
@@ -123,6 +125,5 @@ def given_but(*keys: str) -> list[str]:
 
 
 def servo_change() -> list[str]:
-    """The change of an env that ``servo=NAME`` asks for, see ``zfall.envs.tables.changed``."""
-    chosen = choice("servo")
-    return [] if chosen is None else [f"servo={chosen}"]
+    """Changes of an env that ``robot=NAME`` and ``servo=NAME`` ask for, see ``tables.changed``."""
+    return [f"{group}={name}" for group in ("robot", "servo") if (name := choice(group))]

@@ -95,3 +95,36 @@ def block_robot(folder: Path) -> Robot:
         com_height=HALF_HEIGHT,
         mass=MASS,
     )
+
+
+def bare_block(folder: Path) -> Path:
+    """The same block as an MJCF without a sensor, its feet two links that do not move."""
+    feet = "".join(
+        f'<body name="{side}_foot" pos="0 {sign * HALF_WIDTH / 2} {0.01 - HALF_HEIGHT}">'
+        f'<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>'
+        f'<geom type="box" size="{HALF_WIDTH} {HALF_WIDTH / 2} 0.01" priority="1"/></body>'
+        for side, sign in zip(SIDES, (1, -1), strict=True)
+    )
+    moments = " ".join(str(value) for value in inertia())
+    path = folder / "bare_block.xml"
+    path.write_text(f"""
+    <mujoco>
+      <option cone="pyramidal" integrator="implicitfast"/>
+      <worldbody>
+        <geom name="ground" type="plane" size="0 0 1"/>
+        <body name="block" pos="0 0 {HALF_HEIGHT}">
+          <freejoint/>
+          <inertial pos="0 0 0" mass="{MASS}" diaginertia="{moments}"/>
+          <geom type="box" size="{HALF_WIDTH} {HALF_WIDTH} 0.139" pos="0 0 0.011"
+            contype="0" conaffinity="1"/>
+          {feet}
+          <body name="wheel">
+            <inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>
+            <joint name="wheel" axis="0 0 1" armature="1e-6" damping="1e-3" limited="true"
+              range="-1 1"/>
+          </body>
+        </body>
+      </worldbody>
+      <actuator><position joint="wheel" kp="1e-3" forcerange="-1 1"/></actuator>
+    </mujoco>""")
+    return path

@@ -12,12 +12,14 @@ import pytest
 import torch
 import yaml
 from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.utils import get_object, instantiate
 from torch.testing import assert_close
 from torchrl.envs import Transform
 from torchrl.modules import set_recurrent_mode
 
 from tests.shell import TINY, run
+from zfall.cluster.launcher import register
 from zfall.envs.make import build_transform
 from zfall.robots import Ball
 from zfall.training.learner import Learner
@@ -172,8 +174,20 @@ def test_every_command_has_a_recipe_and_values_that_it_knows(recipe, args):
     *below, name = recipe.split(".")
     folder = folder.joinpath(*below)
     assert (folder / f"{name}.py").exists()
+    register()
     with initialize_config_dir(str(folder), version_base=None):
-        compose(name, overrides=[arg for arg in args if arg != "-m"])
+        compose(name, overrides=first_of_sweep([arg for arg in args if arg != "-m"]))
+
+
+def first_of_sweep(args: list[str]) -> list[str]:
+    """Overrides of the first job of a sweep."""
+    parsed = zip(args, OverridesParser.create().parse_overrides(args), strict=True)
+    return [
+        f"{each.get_key_element()}={next(each.sweep_string_iterator())}"
+        if each.is_sweep_override()
+        else arg
+        for arg, each in parsed
+    ]
 
 
 def test_the_tiny_training_of_the_first_policy_trains(tmp_path):

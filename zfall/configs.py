@@ -10,6 +10,7 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 
 _PACKAGE = Path(__file__).parent
@@ -79,6 +80,21 @@ def nodes_of(config: Any, place: str = "") -> Iterator[tuple[str, Mapping[str, A
         return
     for key, value in entries:
         yield from nodes_of(value, f"{place}.{key}" if place else key)
+
+
+def _sized(value: float, unit: str, *, _parent_: Any) -> float:
+    """``${sized:0.1,time}``: 0.1 s for the default robot, as much for one of another size."""
+    node = _parent_
+    while node is not None and not (isinstance(node, DictConfig) and "base_env" in node):
+        node = node._get_parent()
+    robot = None if node is None else node.base_env.get("robot")
+    if robot is None:
+        return value
+    size: float = get_method("zfall.robots.units.sized")(value, unit, plain_containers(robot))
+    return size
+
+
+OmegaConf.register_new_resolver("sized", _sized, replace=True)
 
 
 def _recipe_runs() -> bool:

@@ -24,34 +24,35 @@ def main() -> None:
     from rich.console import Console
 
     from zfall.envs.humanoid import HumanoidEnv
-    from zfall.falling.poses import KINDS, search_poses
+    from zfall.falling.poses import search_poses
     from zfall.terminal import print_sheet
 
     console, generator = Console(), np.random.default_rng(0)
     env = HumanoidEnv(num_envs=512, control_dt=0.04, physics_dt=0.004)
     copies = HumanoidEnv(num_envs=32, control_dt=0.04, physics_dt=0.004)
-    for kind in KINDS:
+    for kind, search in env.robot.kneel_searches.items():
         found = search_poses(env, copies, kind, DRAWS, generator)
         tried = DRAWS * env.num_envs
         title = f"{kind}: {len(found)} of {tried} rest"
-        print_sheet(shown(title, found[:5], env.robot.joints), console)
+        print_sheet(shown(title, found[:5], env.robot.joints, search.shown), console)
         if found:
             console.print("qpos:", " ".join(f"{value:.6g}" for value in found[0].state))
 
 
-def shown(title: str, poses: "list[Found]", joints: tuple[str, ...]) -> "Sheet":
-    """A row for each pose: its figures, and the angles of the legs [rad]."""
+def shown(
+    title: str, poses: "list[Found]", joints: tuple[str, ...], legs: tuple[str, ...]
+) -> "Sheet":
+    """A row for each pose: its figures, and the angles of some joints of the legs [rad]."""
     import pandas as pd
 
-    from zfall.falling.poses import LEGS
     from zfall.terminal import Sheet
 
     rows = []
     for pose in poses:
-        legs = [pose.angles[joints.index(joint)] for joint in LEGS]
-        figures = (pose.robust, pose.torque, pose.leaning, pose.com_height, *legs)
+        angles = [pose.angles[joints.index(joint)] for joint in legs]
+        figures = (pose.robust, pose.torque, pose.leaning, pose.com_height, *angles)
         rows.append([f"{value:.3f}" for value in figures])
-    return Sheet(pd.DataFrame(rows, columns=[*COLUMNS, *LEGS]), title)
+    return Sheet(pd.DataFrame(rows, columns=[*COLUMNS, *legs]), title)
 
 
 if __name__ == "__main__":

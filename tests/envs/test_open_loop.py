@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from zfall.envs.open_loop import follow, pose_hold
-from zfall.motions.library import GAITS
+from zfall.motions.library import gaits_of
+from zfall.robots import ZEROTH01
+
+GAITS = gaits_of(ZEROTH01)
 
 
 @pytest.mark.parametrize("name", ["forward_0.20", "backward_0.10", "turn_left_1.0"])

@@ -331,3 +331,23 @@ def test_neighbours_of_the_batch_are_taken_in_place_of_drawn_ones(recurrent):
     assert CAPSLoss(actor, sigma=9.0, neighbour_key="near")(batch)["loss_spatial"] < 1e-9
     batch["near"] = batch["near"] + 1.0
     assert CAPSLoss(actor, sigma=0.0, neighbour_key="near")(batch)["loss_spatial"] > 1e-9
+
+
+@pytest.mark.parametrize("memory", [False, True])
+def test_without_a_spatial_weight_no_neighbour_is_drawn_or_asked(memory, recurrent, monkeypatch):
+    actor, batch = recurrent if memory else (linear_actor()[1], transitions(12))
+    batch = batch.exclude("mean")
+    expected = CAPSLoss(actor, spatial_coeff=0.1)(batch.copy())["loss_temporal"]
+    caps = CAPSLoss(actor, spatial_coeff=0.0, neighbour_key="near")  # which the batch has not
+    asked = []
+    act = caps._act
+    monkeypatch.setattr(caps, "_act", lambda seen: asked.append(seen) or act(seen))
+    drawn = torch.get_rng_state()
+    losses = caps(batch.copy())
+    assert torch.equal(drawn, torch.get_rng_state())
+    assert_close(losses["loss_temporal"], expected)
+    assert losses["loss_spatial"] == 0
+    assert "near" not in caps.in_keys
+    assert caps.companions(batch) is None
+    # A batch of both ends of the pairs, or the sequences once.
+    assert [seen.numel() for seen in asked] == [72 if memory else 24]

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from zfall.motions.inverse_dynamics import servo_torque, weight_shares
-from zfall.motions.library import GAITS, walk
+from zfall.motions.library import gaits_of, walk
 from zfall.robots import ZEROTH01
+
+GAITS = gaits_of(ZEROTH01)
 
 
 def test_weight_goes_evenly_from_foot_to_foot_in_double_support():

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from zfall.motions.library import GAITS, load_motions, make_motions, motions_file, walk
+from zfall.motions.library import gaits_of, load_motions, make_motions, motions_file, walk
 from zfall.robots import ZEROTH01
 
-MOTIONS = load_motions(ZEROTH01)
+GAITS, MOTIONS = gaits_of(ZEROTH01), load_motions(ZEROTH01)
 WALKS = [name for name in MOTIONS if name != "standing"]
 STEP, DOUBLE = 0.3, 0.03  # step time and double support [s]
 OMEGA = (9.81 / 0.22) ** 0.5  # [1/s]
@@ -219,6 +219,21 @@ def test_a_gait_that_would_bend_a_joint_too_far_is_refused():
         walk(ZEROTH01, gait, np.array([0.02, 0.15, 0.28]))
 
 
-def test_a_robot_without_motions_is_refused_by_name():
-    with pytest.raises(ValueError, match="robot must have reference motions, .*other"):
-        load_motions(replace(ZEROTH01, name="other"))
+def test_a_robot_without_a_file_of_motions_has_its_gaits_made():
+    """Two of the gaits that ship, and one that its legs do not reach, which is left out."""
+    few = {name: vars(GAITS[name]) for name in ("forward_0.10", "turn_left_0.5")}
+    far = vars(replace(GAITS["forward_0.10"], speed=1.0))
+    made = load_motions(replace(ZEROTH01, name="other", gaits=few | {"far": far}))
+    assert list(made) == ["standing", "forward_0.10", "turn_left_0.5"]
+    for name, motion in made.items():
+        for key, values in motion.states.items():
+            np.testing.assert_allclose(values, MOTIONS[name].states[key], atol=2e-6)
+
+
+def test_gaits_of_another_size_have_the_same_froude_number():
+    """Lengths as h, times as its root: v / sqrt(g h) and the steps' shares of h stay."""
+    larger = replace(ZEROTH01, gaits={}, com_height=4 * ZEROTH01.com_height)
+    found, own = gaits_of(larger)["forward_0.10"], GAITS["forward_0.10"]
+    assert found.speed == pytest.approx(2 * own.speed)
+    assert found.step_time == pytest.approx(2 * own.step_time)
+    assert found.lift == pytest.approx(4 * own.lift)

@@ -170,6 +170,15 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evalu
             ["run=best", "battery=twin", "change=['transforms.noise.std.feet_force=2.0']"],
             "error: change must not name noise: the battery has hardware of its own",
         ),
+        (
+            ["run=best", "change=['transforms.noise.std.feet_force=2.0']"],
+            "error: change must name what acts, noise is left out of trials: keep=[noise] leaves "
+            "it on.",
+        ),
+        (
+            ["run=best", "change=['transforms.push.point=chest']"],
+            "error: change must name what acts, push is left out of trials: a battery has its own.",
+        ),
         (["run=best", "checkpoint=foo"], "error: checkpoint must be last or best of best, got foo"),
         (["run=limp", "checkpoint=foo"], "error: checkpoint must be last or best of limp, got foo"),
         (["run=best", "starts=abc"], "error: starts must be a whole number or null, got abc."),

@@ -208,3 +208,20 @@ def test_ctrl_c_amid_a_save_leaves_a_sound_checkpoint(presses, tmp_path, monkeyp
     assert checkpoint.load(parts / "checkpoints" / "last.pt")["updates"] == 3 - presses
     assert run("train", f"resume={parts}", f"hydra.run.dir={tmp_path}/x").returncode == 0
     assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
+
+
+def test_auto_begins_a_run_and_goes_on_with_it_only_if_it_is_the_same(tmp_path):
+    """Equal to one not stopped; rows of a run that was cut before its first checkpoint are gone."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert run("train", *TINY, "total_frames=96", f"hydra.run.dir={whole}").returncode == 0
+    parts.mkdir()
+    (parts / "metrics.csv").write_text("update,frames\n1,32\n")
+    own = [*TINY, "resume=auto", f"hydra.run.dir={parts}"]
+    for frames in (64, 96, 96):
+        done = run("train", *own, f"total_frames={frames}")
+        assert done.returncode == 0, done.stderr
+    assert (parts / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
+    assert "auto" not in (parts / ".hydra" / "config.yaml").read_text()
+    bad = run("train", *own, "total_frames=128", "loss.gamma=0.5")
+    assert bad.returncode == 1
+    assert "loss.gamma (0.98 stored, 0.5 wanted) must be that of the run in" in bad.stderr

@@ -16,6 +16,7 @@ from torchrl.envs import step_mdp
 
 from zfall.deployment import bus as registers
 from zfall.deployment.bus import Register, to_angle, to_steps
+from zfall.envs.tables import robot_of
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.evaluation.battery import arrange, battery_env, begin_streams, trial_parameters
 from zfall.evaluation.definitions import Battery
@@ -46,7 +47,8 @@ class SimulatedBus:
     def __init__(self, battery: Battery, env_cfg: DictConfig, *, realtime: bool):
         own = {"_recursive_": False, "base_env": env_cfg.base_env, "transforms": {}}
         bare = OmegaConf.create(own)
-        self.battery, self.realtime, self.cut = battery, realtime, False
+        self.battery = battery.of_size(robot_of(env_cfg))
+        self.realtime, self.cut = realtime, False
         self.env, self._start, self._push = battery_env(battery, bare, 1)
         self.base = self.env.base_env
         self.robot = self.base.robot.name

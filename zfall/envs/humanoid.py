@@ -21,7 +21,7 @@ from zfall.envs.observer import Observed, Observer, copies, with_flags
 from zfall.envs.placing import Placing, start_of
 from zfall.envs.rendering import Camera
 from zfall.envs.streams import Streams
-from zfall.robots import ZEROTH01, Ball, PushPoint, Robot
+from zfall.robots import DEFAULT, Ball, PushPoint, Robot
 from zfall.robots.servos import Servo
 from zfall.simulation.compiled import sound
 from zfall.simulation.cpu import Simulation
@@ -97,7 +97,7 @@ class HumanoidEnv(EnvBase):
         num_envs: Count,
         control_dt: Positive,
         physics_dt: Positive = 0.004,
-        robot: Robot = ZEROTH01,
+        robot: Robot = DEFAULT,
         push_points: dict[str, PushPoint] | None = None,
         ball: Ball | None = None,
         servos: Mapping[str, Servo] | None = None,

@@ -14,7 +14,7 @@ from zfall.envs.terms.falls import body_contact
 from zfall.motions.gaits import Gait
 from zfall.motions.inverse_dynamics import servo_torque
 from zfall.motions.library import walk
-from zfall.robots import ZEROTH01
+from zfall.robots import DEFAULT, Robot
 from zfall.rotations import rotate_inverse
 
 CONTROL_DT, PHYSICS_DT = 0.02, 0.005  # [s]; both divide a stride of 0.6 s
@@ -34,7 +34,9 @@ class Walked(NamedTuple):
     turn_rate: Tensor
 
 
-def follow(gait: Gait, kind: str, *, seconds: float, starts: int = 15) -> Walked:
+def follow(
+    gait: Gait, kind: str, *, seconds: float, starts: int = 15, robot: Robot = DEFAULT
+) -> Walked:
     """Lets the servos follow a gait by the clock, with nothing that would keep the balance.
 
     Each world starts in the gait's own state, at another phase. The servos are commanded the
@@ -45,15 +47,14 @@ def follow(gait: Gait, kind: str, *, seconds: float, starts: int = 15) -> Walked
     begin, end = gait.stride
     ticks = round((end - begin) / PHYSICS_DT)
     time = begin + PHYSICS_DT * np.arange(ticks)
-    table = _tensors(walk(ZEROTH01, gait, time))
-    env = HumanoidEnv(num_envs=starts, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
+    table, env = _tensors(walk(robot, gait, time)), _env(robot, starts)
     command = table["joint_position"].clone()
     if kind == "velocity":
         command += env.servo_time_constant * table["joint_velocity"]
     elif kind == "torque":
         model = env.simulation.model
         stiffness = [-model.actuator(name).biasprm[1] for name in env.robot.joints]
-        command += torch.from_numpy(servo_torque(ZEROTH01, gait, time) / stiffness).float()
+        command += torch.from_numpy(servo_torque(robot, gait, time) / stiffness).float()
     phase = torch.arange(starts) * ticks // starts
     tick = phase[:, None] + torch.arange(env.substeps)
     steps = range(round(seconds / CONTROL_DT))
@@ -61,14 +62,18 @@ def follow(gait: Gait, kind: str, *, seconds: float, starts: int = 15) -> Walked
     return _play(env, {key: value[phase] for key, value in table.items()}, controls)
 
 
-def pose_hold(gait: Gait, *, seconds: float, starts: int = 15) -> Walked:
+def pose_hold(gait: Gait, *, seconds: float, starts: int = 15, robot: Robot = DEFAULT) -> Walked:
     """Lets the servos pull the robot from the midst of a gait into the standing pose."""
     begin, end = gait.stride
     time = begin + (end - begin) / starts * np.arange(starts)
-    env = HumanoidEnv(num_envs=starts, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
+    env = _env(robot, starts)
     stand = env.stand_position.expand(starts, env.substeps, -1)
     controls = (stand for _ in range(round(seconds / CONTROL_DT)))
-    return _play(env, _tensors(walk(ZEROTH01, gait, time)), controls)
+    return _play(env, _tensors(walk(robot, gait, time)), controls)
+
+
+def _env(robot: Robot, starts: int) -> HumanoidEnv:
+    return HumanoidEnv(num_envs=starts, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT, robot=robot)
 
 
 def _tensors(states: dict[str, NDArray[np.floating]]) -> dict[str, Tensor]:

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from zfall.configs import compose_config, nodes_of, options_of, plain_containers
 from zfall.fingerprints import digest, file_digest
-from zfall.robots import ZEROTH01, Robot
+from zfall.robots import DEFAULT, Robot
 from zfall.simulation.model import identity_of
 from zfall.static_checks import check_nodes
 
@@ -21,7 +21,7 @@ def robot_of(cfg: DictConfig) -> Robot:
     if not isinstance(cfg.base_env, DictConfig):
         raise ValueError(f"env.base_env must be a table, got {cfg.base_env}.")
     robot = cfg.base_env.get("robot")
-    return ZEROTH01 if robot is None else instantiate(robot)
+    return DEFAULT if robot is None else instantiate(robot, _convert_="all")
 
 
 def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
@@ -30,6 +30,7 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
     A table with the ``_target_`` of another class replaces the one that was there, others are
     merged into it.
     ``servo=NAME`` gives it the servos of ``recipes/servo``; values of these can be changed after.
+    ``robot=NAME`` gives it a robot of ``recipes/robot``.
 
     Raises:
         ValueError: on a key that is not there, a value that it cannot have, servos that there are
@@ -42,8 +43,8 @@ def changed(env_cfg: DictConfig, changes: Sequence[str]) -> DictConfig:
         key, given, text = change.partition("=")
         if not given:
             raise ValueError(f"change must be KEY=VALUE, got {change}.")
-        if key == "servo":
-            new = with_servos(new, text)
+        if key in ("servo", "robot"):
+            new = with_servos(new, text) if key == "servo" else with_robot(new, text)
             continue
         if OmegaConf.select(new, key, default="missing") == "missing":
             raise ValueError(f"change must name a value of the env, there is no {key}.")
@@ -71,6 +72,24 @@ def with_servos(env_cfg: DictConfig, name: str) -> DictConfig:
         new.base_env.pop("servos", None)
         if servos is not None:
             new.base_env.servos = servos
+    return new
+
+
+def with_robot(env_cfg: DictConfig, name: str) -> DictConfig:
+    """The env's config with the robot of ``recipes/robot/NAME.yaml`` and its own servos.
+
+    Raises:
+        ValueError: on an unknown name.
+    """
+    names = options_of("robot")
+    if name not in names:
+        raise ValueError(f"robot must be one of {', '.join(names)}, got {name!r}.")
+    given = compose_config([f"robot={name}"]).env.base_env
+    new = env_cfg.copy()
+    with open_dict(new):
+        new.base_env.pop("robot", None)
+        if given.get("robot") is not None:
+            new.base_env.robot, new.base_env.servos = given.robot, None
     return new
 
 

@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall.configs import compose_config, plain_containers
 from zfall.envs import tables
+from zfall.envs.make import left_out
 from zfall.envs.tables import changed, contents_of, robot_of
 from zfall.envs.worlds import World, in_world, privileged, replaced
 from zfall.evaluation.baselines import baseline_names, load_baseline, passive
@@ -34,7 +35,7 @@ class Candidate:
     """A policy or baseline that is put to a battery.
 
     Attributes:
-        name: a run folder, or the name of a baseline or of a policy that ships.
+        name: a run folder, the name of a baseline or of a policy that ships, or a yaml.
         env_cfg: config of its env.
         actor: the policy; ``None`` of a baseline.
         servos: whether the servos act.
@@ -61,7 +62,8 @@ class Candidate:
 
     def results(self, elsewhere: Path) -> Path:
         """Where its results go: a run folder keeps its own, those of others go elsewhere."""
-        own = self.actor is not None and not shipped(self.name).exists()
+        shared = shipped(self.name).exists() or not Path(self.name).is_dir()
+        own = self.actor is not None and not shared
         return (Path(self.name) if own else elsewhere) / "evaluation"
 
     def still(self) -> "Candidate":
@@ -131,7 +133,8 @@ def load_candidate(
     """A policy, or a baseline in an env.
 
     Args:
-        run: a policy, a run folder, or the name of a policy that ships or of a baseline.
+        run: a policy, a run folder, the name of a policy that ships or of a baseline, or the yaml
+            of a policy of another framework.
         checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         change: values of the env to replace.
         task: the env of a baseline: its config, or its name in ``recipes/env``.
@@ -217,7 +220,18 @@ def load_candidates(
                     "battery.world.PART.NAME.KEY=VALUE changes that."
                 )
     kept = [candidate.keep(keep) for candidate in candidates]
+    for candidate in kept:
+        _check_acts(candidate, change)
     return kept if memory else [candidate.forgetting() for candidate in kept]
+
+
+def _check_acts(candidate: Candidate, change: Sequence[str]) -> None:
+    """Refuses changes of transforms that the battery leaves out; without effect they mislead."""
+    idle = left_out(candidate.env_cfg.get("training_only") or ())
+    for name in {_transform_of(x) for x in change} & {*idle}:
+        own = name in starts_and_pushes(candidate.env_cfg)
+        remedy = "a battery has its own" if own else f"keep=[{name}] leaves it on"
+        raise ValueError(f"change must name what acts, {name} is left out of trials: {remedy}.")
 
 
 def _transform_of(change: str) -> str:

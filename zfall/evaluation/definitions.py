@@ -1,7 +1,7 @@
 """What a battery is: its numbers, read from ``recipes/battery``."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, get_type_hints
 
 from hydra.errors import ConfigCompositionException
@@ -12,6 +12,8 @@ from zfall.configs import compose_config, nodes_of, options_of, plain_containers
 from zfall.envs.worlds import check_world
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
+from zfall.robots import DEFAULT, Robot
+from zfall.robots.units import factor
 from zfall.values import ORDERED, Count, Name, NotNegative, Positive, Rule, Whole
 
 _AT_LEAST_ONE = Rule("name at least one", lambda x: len(x) > 0)
@@ -43,6 +45,7 @@ class Battery:
     interval: Positive | None
     forces: tuple[tuple[float, float], ...]
     force_starts: Whole
+    commands: tuple[tuple[float, float, float], ...]
     world: Mapping[str, Mapping[str, Any]] | None
 
     @property
@@ -54,6 +57,23 @@ class Battery:
     def durations(self) -> tuple[float, ...]:
         """How long [s]."""
         return self.duration if isinstance(self.duration, tuple) else (self.duration,)
+
+    def of_size(self, robot: Robot) -> "Battery":
+        """The same battery for a robot of another height: its times go with the root of it.
+
+        Impulses have no dimension anyway. Times are rounded to milliseconds.
+        """
+        if robot.com_height == DEFAULT.com_height:
+            return self
+        later = factor(robot, "time")
+
+        def scaled(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(map(scaled, value))
+            return None if value is None else round(later * value, 3)
+
+        times = ("push_time", "duration", "end_time", "aftermath", "interval")
+        return replace(self, **{name: scaled(getattr(self, name)) for name in times})
 
 
 def load_battery(name: str, **options: Any) -> Battery:

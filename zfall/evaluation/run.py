@@ -88,6 +88,7 @@ def evaluate(
             memory=memory,
             world=given.world,
         )
+    given = given.of_size(candidate.robot)
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)
     known = candidate.known(given)
     return result_of(given, candidate.label, candidate.robot, trials, known=known)
@@ -196,6 +197,7 @@ def run_or_read(
         referenced: whether polar plots have reference lines.
         shell: what the shell gave to the recipe besides the run, which the summary keeps.
     """
+    battery = battery.of_size(candidate.robot)
     known, plain = candidate.known(battery), {"referenced": referenced}
     conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:

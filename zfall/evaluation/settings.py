@@ -43,7 +43,13 @@ def names_of(cfg: DictConfig, battery: Battery) -> list[str]:
     return [cfg.run] if cfg.runs is None else list(dict.fromkeys(cfg.runs))
 
 
-def setting_of(cfg: DictConfig, options: dict[str, Any], name: str, servo: str | None) -> str:
+def setting_of(
+    cfg: DictConfig,
+    options: dict[str, Any],
+    name: str,
+    servo: str | None,
+    robot: str | None = None,
+) -> str:
     """Name of the folder of results, from all that was given and changes them.
 
     Args:
@@ -51,10 +57,12 @@ def setting_of(cfg: DictConfig, options: dict[str, Any], name: str, servo: str |
         options: numbers of the battery that it replaces.
         name: of the battery's yaml.
         servo: the servos chosen; ``None``: those of the training.
+        robot: the robot chosen; ``None``: that of the env.
     """
     stored = table_of(name)
     differs = {str(key): v for key, v in cfg.battery.items() if v != stored[key]}
     given = options | {key: v for key, v in differs.items() if key not in options}
+    given |= {"robot": robot} if robot else {}
     given |= {"servo": servo} if servo else {}
     given |= {"change": cfg.change} if cfg.change else {}
     given |= {"keep": sorted(cfg.keep)} if cfg.keep else {}

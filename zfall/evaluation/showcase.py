@@ -71,6 +71,7 @@ def show(
     """
     battery = battery_of(cfg)
     assert battery is not None
+    battery = battery.of_size(robot_of(cfg.env))
     trained = {key: value.clone() for key, value in actor.state_dict().items()}
     with console.status(f"short {battery.name} battery"):
         actor.load_state_dict(untrained)

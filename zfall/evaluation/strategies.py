@@ -12,6 +12,7 @@ from torch import Tensor
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.followers import Ended, Moment
 from zfall.robots import GRAVITY
+from zfall.robots.anatomy import hips_of
 from zfall.rotations import tilt
 
 STRIDE = 0.02  # a foot that comes down so far from where it left has stepped [m]
@@ -79,7 +80,7 @@ class Strategies:
 
     def __init__(self, env: HumanoidEnv):
         n, robot = env.num_envs, env.robot
-        self.hips = [i for i, name in enumerate(robot.joints) if _bends_at_the_hip(name)]
+        self.hips = hips_of(robot)
         self.unit = robot.mass * robot.com_height * (GRAVITY * robot.com_height) ** 0.5
         self.control_dt = env.control_dt
         self.displacement = torch.zeros(n)
@@ -159,10 +160,8 @@ def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
     control = trials[trials["recovered"] & (trials["impulse"] == 0)]
     counted = trials[trials["recovered"] & (trials["impulse"] > 0)].copy()
     if known:
-        for name, (column, bound) in AMOUNTS.items():
-            usual = _usual(control[column].to_numpy())
-            more = (counted[column] > max(bound, usual)).astype(float)
-            counted[name] = more if len(control) else np.nan
+        for name, more in beyond_usual(trials, counted).items():
+            counted[name] = more
         counted["ankle"] = counted["strategy/ankle"]
         beyond = counted[list(AMOUNTS)].sum(axis=1)
         counted["as_usual"] = (beyond == 0).astype(float) if len(control) else np.nan
@@ -183,10 +182,22 @@ def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([first, pushed], ignore_index=True)[["side", "impulse", "recovered", *names]]
 
 
+def beyond_usual(trials: pd.DataFrame, counted: pd.DataFrame) -> dict[str, pd.Series]:
+    """Which trials used more of each strategy than its bound and than usual, 1 or 0.
+
+    Args:
+        trials: all of a battery; what is usual is that of the recovered ones without a push. If
+            there is none, nothing is known: NaN.
+        counted: those that are looked at.
+    """
+    control = trials[trials["recovered"] & (trials["impulse"] == 0)]
+    found = {}
+    for name, (column, bound) in AMOUNTS.items():
+        more = counted[column] > max(bound, _usual(control[column].to_numpy()))
+        found[name] = more.astype(float) if len(control) else more.astype(float) * np.nan
+    return found
+
+
 def _usual(amounts: NDArray[np.float64]) -> float:
     """What 95 % of the control trials do not exceed, one of their values; infinite of none."""
     return float(np.quantile(amounts, USUAL, method="inverted_cdf")) if len(amounts) else np.inf
-
-
-def _bends_at_the_hip(joint: str) -> bool:
-    return joint.endswith(("hip_pitch", "hip_roll"))

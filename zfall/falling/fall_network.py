@@ -11,6 +11,7 @@ from zfall import checkpoint
 from zfall.falling.files import ASSETS
 from zfall.fingerprints import reads_files
 from zfall.modules.normalization import ObservationNormalizer
+from zfall.robots import DEFAULT
 
 _SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
 _KINDS = {"sizes": Mapping, "fall_network": Mapping}
@@ -62,7 +63,7 @@ class FallNetwork(nn.Module):
 
 def fall_network_path(path: str | None) -> Path:
     """The file of a name or path, see ``load_fall_network``."""
-    shipped = ASSETS / (path or "zeroth01_fall_network.pt")
+    shipped = ASSETS / (path or f"{DEFAULT.name}_fall_network.pt")
     return (
         shipped if path is None or (shipped.is_file() and not Path(path).exists()) else Path(path)
     )
@@ -81,7 +82,7 @@ def load_fall_network(path: str | None = None) -> FallNetwork:
 
     Args:
         path: of the file, or the name of one that ships in ``zfall/falling/assets``; ``None``:
-            ``zeroth01_fall_network.pt``, which sees proprioception alone.
+            that of the default robot, which sees proprioception alone.
 
     Raises:
         ValueError: if there is no such file, or it is of another kind.

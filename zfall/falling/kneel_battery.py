@@ -49,7 +49,7 @@ class Kneel:
 
     def check(self, battery: Battery) -> None:
         """One push point and duration, and no random pushes."""
-        check_unused(battery, "resolution", "interval")
+        check_unused(battery, "resolution", "interval", "commands")
         check_single(battery, "duration", "point")
 
     def plan(self, battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:

@@ -16,17 +16,10 @@ from zfall.rotations import tilt
 
 Array = NDArray[np.float64]
 
-# Uniform ranges of the leg joints and the trunk's lean [rad]: front and rear leg, or both the same.
-_HALF = {
-    "front": {"hip_pitch": (-1.57, -0.8), "knee_pitch": (-1.2, -0.2), "ankle_pitch": (-0.5, 0.3)},
-    "rear": {"hip_pitch": (0.2, 0.87), "knee_pitch": (-1.39, -0.6), "ankle_pitch": (-0.6, 0.6)},
-}
-_BOTH = {"hip_pitch": (0.2, 0.87), "knee_pitch": (-1.39, -0.9), "ankle_pitch": (-0.6, 0.69)}
-KINDS = {"half-kneel": _HALF, "both knees": {"front": _BOTH, "rear": _BOTH}}
+# Uniform ranges of the trunk's lean, and of how far the legs part [rad].
 _LEAN, _SPREAD = (-0.4, 0.5), (0.0, 0.4)
 SECONDS = 3.0  # for which the servos hold a pose
 NOISE = 0.035  # of the copies that a pose must rest with [rad]
-LEGS = (*(f"{s}_{joint}" for s in ("right", "left") for joint in _BOTH), "left_hip_roll")
 
 
 @dataclass
@@ -59,7 +52,7 @@ def search_poses(
     Args:
         env: in whose worlds the poses are tried.
         copies: in whose worlds each is tried again, with noise.
-        kind: one of ``KINDS``.
+        kind: one of the robot's ``kneel_searches``.
         draws: batches of poses, each of as many as ``env`` has worlds.
         generator: of poses and noise.
     """
@@ -86,18 +79,17 @@ def draw(
     robot: Robot, kind: str, count: int, generator: np.random.Generator
 ) -> tuple[Array, Array]:
     """Joint angles ``(count, J)`` and leans ``(count,)`` of poses of a kind [rad]."""
-    joints = robot.joints
+    joints, search = robot.joints, robot.kneel_searches[kind]
     angles = np.tile(np.array(robot.stand_position), (count, 1))
-    for side, leg in (("left", "front"), ("right", "rear")):
-        for joint, (low, high) in KINDS[kind][leg].items():
-            angles[:, joints.index(f"{side}_{joint}")] = generator.uniform(low, high, count)
-        angles[:, joints.index(f"{side}_ankle_roll")] = 0.0
-    if kind == "both knees":
-        for joint in _BOTH:
-            angles[:, joints.index(f"right_{joint}")] = angles[:, joints.index(f"left_{joint}")]
+    for joint, (low, high) in search.ranges.items():
+        angles[:, joints.index(joint)] = generator.uniform(low, high, count)
+    for joint in search.zero:
+        angles[:, joints.index(joint)] = 0.0
+    for joint, other in search.same.items():
+        angles[:, joints.index(joint)] = angles[:, joints.index(other)]
     spread = generator.uniform(*_SPREAD, count)
-    angles[:, joints.index("left_hip_roll")] = spread
-    angles[:, joints.index("right_hip_roll")] = -spread
+    for joint, sign in zip(search.spread, (1.0, -1.0), strict=True):
+        angles[:, joints.index(joint)] = sign * spread
     return angles, generator.uniform(*_LEAN, count)
 
 

@@ -88,7 +88,7 @@ def record_falls(
     fell, moments = torch.zeros(base.num_envs, dtype=torch.bool), []
     force = torch.from_numpy(worlds.trials["force_n"].to_numpy()[worlds.rows]).float()
     heading = torch.from_numpy(worlds.trials["direction_rad"].to_numpy()[worlds.rows]).float()
-    pushing = torch.stack([force * heading.cos(), force * heading.sin(), 0.0 * force], -1)
+    applied = torch.stack([force * heading.cos(), force * heading.sin(), 0.0 * force], -1)
     steps = round(battery.end_time / base.control_dt)
     for step, td in enumerate(play(worlds.env, actor, steps), 1):
         fell |= body_contact(td, td).squeeze(-1)
@@ -98,7 +98,7 @@ def record_falls(
             continue
         remains = (duration - since_push).clamp_min(0.0)[:, None]
         values = [td[key].flatten(1) for key in _KEYS]
-        state = torch.cat([*values, pushing * (remains > _EPS), remains], -1)
+        state = torch.cat([*values, applied * (remains > _EPS), remains], -1)
         moments.append(torch.where((kept & ~fell)[:, None], state, torch.nan))
     if not moments:
         raise ValueError("impulses or times must give a state to record, no trial has one.")

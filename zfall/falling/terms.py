@@ -55,7 +55,7 @@ def resting_kneel(
     speed: float = 0.1,
     joint_speed: float = 0.1,
 ) -> Tensor:
-    """Whether the robot rests on a knee or shin, its torso and head off the floor and upright.
+    """Whether the robot rests on its ``kneel_regions``, torso and head off the floor, upright.
 
     It rests if the base is slower than ``speed`` [m/s and rad/s] and all joints are slower than
     ``joint_speed`` [rad/s], and is upright if it leans by less than ``angle`` [rad]. A stable kneel
@@ -68,7 +68,7 @@ def resting_kneel(
     slow &= next_td["base_angular_velocity"].norm(dim=-1) < speed
     slow &= next_td["joint_velocity"].abs().amax(-1) < joint_speed
     upright = tilt(next_td["base_orientation"]) < angle
-    down = touching(next_td, robot, "knee", "shin")
+    down = touching(next_td, robot, *robot.kneel_regions)
     off = ~touching(next_td, robot, "torso", "head")
     return (slow & upright)[..., None] & down & off
 

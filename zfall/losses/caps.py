@@ -37,7 +37,8 @@ class CAPSLoss(LossModule):
     Of a policy without memory the pairs are an observation and its successor, which at an
     episode's end is the last one of that episode. Of a recurrent one a batch holds sequences:
     the temporal pair follows them with the memory that they build up, and pairs across an
-    episode's end are left out; both of the spatial pair have that memory.
+    episode's end are left out; both of the spatial pair have that memory. With a ``spatial_coeff``
+    of 0 no neighbour is drawn, asked or needed in the batch.
 
     Keys: reads the actor's ``in_keys``, ``(B, ...)``, and ``("next", "observation")`` of a policy
     without memory; ``(N, T, ...)`` of a recurrent one. mu(o) is taken from
@@ -106,9 +107,9 @@ class CAPSLoss(LossModule):
         self.in_keys = list(actor_network.in_keys)
         if not self.recurrent:
             self.in_keys += [unravel_key(("next", key)) for key in actor_network.in_keys]
-        self.neighbour_key = neighbour_key
-        if neighbour_key is not None:
-            self.in_keys.append(neighbour_key)
+        self.neighbour_key = neighbour_key if spatial_coeff else None
+        if self.neighbour_key is not None:
+            self.in_keys.append(self.neighbour_key)
         self.normalizer = normalizer_of(actor_network)
         self.sigma = _spread(sigma, spans or {})
 
@@ -122,31 +123,40 @@ class CAPSLoss(LossModule):
 
         ``None`` if they are asked here: without such a memory, or for draws.
         """
-        if self.on_actions or not self._actor_lends:
+        if self.on_actions or not self._actor_lends or not self.spatial_coeff:
             return None
         near = tensordict.select(*self.actor_network.in_keys)
         near["observation"] = self._neighbour(tensordict)
         return borrow_memory(near)
 
+    def counts(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """Pairs of which ``loss_temporal`` of sequences is the mean."""
+        if not self.recurrent:
+            return {}
+        return {"loss_temporal": (~tensordict["is_init"][:, 1:, 0]).sum()}
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Both losses of a batch."""
         mu = None if self.on_actions else tensordict.get("deterministic_action", None)
+        near: Tensor | None
         if self.recurrent:
             near = tensordict.get(self.companion_key, None)
-            if mu is None or near is None:
+            if mu is None or (near is None and self.spatial_coeff):
                 mu, near = self._sequences(tensordict)
             follows = ~tensordict["is_init"][:, 1:, 0]
             change = self.temporal_norm(mu[:, 1:] - mu[:, :-1]) * follows
             temporal = change.sum() / follows.sum().clamp_min(1)
         else:
             now = tensordict.select(*self.actor_network.in_keys)
-            near_by = now.copy().set("observation", self._neighbour(tensordict))
-            seen = [tensordict["next"].select(*self.actor_network.in_keys), near_by]
+            seen = [tensordict["next"].select(*self.actor_network.in_keys)]
+            if self.spatial_coeff:
+                seen.append(now.copy().set("observation", self._neighbour(tensordict)))
             seen += [now] if mu is None else []
-            after, near, *here = self._act(torch.stack(seen))
-            mu = here[0] if mu is None else mu
+            after, *others = self._act(torch.stack(seen))
+            near = others[0] if self.spatial_coeff else None
+            mu = others[-1] if mu is None else mu
             temporal = self.temporal_norm(mu - after).mean()
-        spatial = self.spatial_norm(mu - near).mean()
+        spatial = mu.new_zeros(()) if near is None else self.spatial_norm(mu - near).mean()
         return TensorDict(
             {
                 "loss_temporal": self.temporal_coeff * temporal,
@@ -154,12 +164,14 @@ class CAPSLoss(LossModule):
             }
         )
 
-    def _sequences(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+    def _sequences(self, batch: TensorDictBase) -> tuple[Tensor, Tensor | None]:
         """mu of the batch, and of neighbours with the same memory, each ``(N, T, J)``."""
         seen = batch.select(*self.actor_network.in_keys)
         near = seen.copy()
         with set_recurrent_mode(True):
             mu = self._act(seen)
+        if not self.spatial_coeff:
+            return mu, None
         near["observation"] = self._neighbour(batch)
         near.update(memory_before(self.actor_network, batch, passed=seen))
         with set_recurrent_mode(False):
@@ -176,7 +188,7 @@ class CAPSLoss(LossModule):
         if self.neighbour_key is not None:
             return batch[self.neighbour_key]
         observation = batch["observation"]
-        noise = torch.randn_like(observation) * self.sigma
+        noise = torch.randn_like(observation) * self.sigma.to(observation.device)
         return observation + (noise if self.normalizer is None else noise * self.normalizer.scale)
 
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from zfall.motions.gaits import Gait, Times
 from zfall.motions.library import walk
-from zfall.robots import Robot
+from zfall.robots import Robot, bare_model
 
 
 def servo_torque(robot: Robot, gait: Gait, time: Times) -> NDArray[np.float64]:
@@ -16,7 +16,7 @@ def servo_torque(robot: Robot, gait: Gait, time: Times) -> NDArray[np.float64]:
     double support both soles share them in the proportion in which the zero-moment point lies
     between them.
     """
-    model = mujoco.MjModel.from_xml_path(robot.mjcf)
+    model = bare_model(robot)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(model)
     states = walk(robot, gait, time)

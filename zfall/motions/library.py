@@ -1,6 +1,8 @@
 """Reference motions of the whole robot: standing, and walks made from pendulum gaits."""
 
 from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,24 +12,12 @@ from numpy.typing import NDArray
 
 from zfall.arrays import arrays_of
 from zfall.motions.gaits import Gait, Times, center_of_mass, feet
-from zfall.robots import ZEROTH01, Robot
+from zfall.robots import DEFAULT, Robot, bare_model
 from zfall.simulation.quantities import STATE_KEYS
+from zfall.simulation.stance import stance
 
-_WALK = {
-    "step_time": 0.3,
-    "double_support": 0.03,
-    "half_width": 0.055,
-    "lift": 0.012,
-    "com_height": ZEROTH01.com_height,
-}
-# Atalante has walked at 0.15 m/s with its wearers (Gurriet et al. 2018), 0.07 m/s for this robot.
-GAITS = {
-    **{f"forward_{v:.2f}": Gait(speed=v, **_WALK) for v in (0.05, 0.10, 0.15, 0.20)},
-    **{f"backward_{v:.2f}": Gait(speed=-v, **_WALK) for v in (0.05, 0.10)},
-    **{f"turn_left_{r:.1f}": Gait(turn_rate=r, **_WALK) for r in (0.5, 1.0)},
-    **{f"turn_right_{r:.1f}": Gait(turn_rate=-r, **_WALK) for r in (0.5, 1.0)},
-}
 PHASES = 60  # stored of each stride
+_CROUCH = 0.96  # of the standing height: a leg that is stretched cannot walk
 _PRECISION, _ITERATIONS = 1e-10, 30  # of Newton's method [m, rad]
 
 States = dict[str, NDArray[np.floating]]
@@ -44,6 +34,30 @@ class Motion(NamedTuple):
     states: States
 
 
+def gaits_of(robot: Robot) -> dict[str, Gait]:
+    """The gaits that a robot declares, by name; else those of the default robot at its size.
+
+    Lengths go with the height of the center of mass h, times with its square root. The feet are as
+    far apart as in the reference pose.
+    """
+    if robot.gaits:
+        return {name: Gait(**values) for name, values in robot.gaits.items()}
+    longer = robot.com_height / DEFAULT.com_height
+    later, width = longer**0.5, abs(float(stance(robot).feet_offset[1])) / 2
+    return {
+        name: Gait(
+            speed=gait.speed * longer / later,
+            turn_rate=gait.turn_rate / later,
+            step_time=gait.step_time * later,
+            double_support=gait.double_support * later,
+            half_width=width,
+            lift=gait.lift * longer,
+            com_height=_CROUCH * robot.com_height,
+        )
+        for name, gait in gaits_of(DEFAULT).items()
+    }
+
+
 def make_motions(robot: Robot, gaits: Mapping[str, Gait]) -> dict[str, Motion]:
     """The standing pose at rest, ``standing``, and walks, ``PHASES`` states of a stride each."""
     motions = {"standing": Motion(0.0, standing(robot))}
@@ -56,7 +70,7 @@ def make_motions(robot: Robot, gaits: Mapping[str, Gait]) -> dict[str, Motion]:
 
 def standing(robot: Robot) -> States:
     """The standing reference pose at rest, one state."""
-    model = mujoco.MjModel.from_xml_path(robot.mjcf)
+    model = bare_model(robot)
     return _states(robot, model, model.key("stand").qpos[None], np.zeros((1, model.nv)))
 
 
@@ -71,10 +85,14 @@ def walk(robot: Robot, gait: Gait, time: Times) -> States:
     Raises:
         ValueError: if the legs do not reach so far, or a joint would leave its range.
     """
-    model = mujoco.MjModel.from_xml_path(robot.mjcf)
+    model = bare_model(robot)
     data = mujoco.MjData(model)
     soles = [int(model.sensor_objid[model.sensor(f"feet_position/{f}").id]) for f in robot.feet]
-    moving = np.array([0, 1, 2, *(dof for sole in soles for dof in _leg(model, sole))])
+    legs = [_leg(model, sole) for sole in soles]
+    shared = {*legs[0]} & {*legs[1]}  # of a waist above both
+    moving = np.array([0, 1, 2, *(dof for leg in legs for dof in leg if dof not in shared)])
+    if len(moving) != 15:
+        raise ValueError(f"legs must have six joints each to walk, {robot.name} has others.")
     soles_to, center = feet(gait, time), center_of_mass(gait, time)
     mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
     data.qpos[:2] = center.position[0].real, center.position[0].imag
@@ -189,12 +207,14 @@ def save_motions(motions: dict[str, Motion], path: Path) -> None:
 
 
 def load_motions(robot: Robot) -> dict[str, Motion]:
-    """The motions that ship with a robot, by name.
+    """The motions of a robot by name: those next to its MJCF, else they are made.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: if the file is none.
     """
     path = motions_file(robot)
+    if not path.is_file():
+        return _made(robot)
     with arrays_of(path, "robot must have reference motions") as file:
         ends = np.cumsum(file["count"])[:-1]
         parts = {key: np.split(file[key], ends) for key in STATE_KEYS}
@@ -202,3 +222,16 @@ def load_motions(robot: Robot) -> dict[str, Motion]:
             str(name): Motion(float(period), {key: parts[key][i] for key in STATE_KEYS})
             for i, (name, period) in enumerate(zip(file["name"], file["period"], strict=True))
         }
+
+
+@cache
+def _made(robot: Robot) -> dict[str, Motion]:
+    """The standing pose, and those of its gaits that the legs reach."""
+    motions = make_motions(robot, {})
+    for name, gait in gaits_of(robot).items():
+        with suppress(ValueError):  # its legs are too short, or have other joints
+            motions |= make_motions(robot, {name: gait})
+    return {
+        name: Motion(period, {key: each.astype(np.float32) for key, each in states.items()})
+        for name, (period, states) in motions.items()
+    }

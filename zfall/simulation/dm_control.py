@@ -10,7 +10,7 @@ from dm_control import mujoco as dm_mujoco
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zfall.robots import ZEROTH01, Robot
+from zfall.robots import DEFAULT, Robot
 from zfall.simulation.compiled import sound
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ class Physics(dm_mujoco.Physics):
         robot: gives the names of joints and feet.
     """
 
-    robot: Robot = ZEROTH01
+    robot: Robot = DEFAULT
     _control_step: Callable[[], None] | None = None
 
     def at_next_step(self, control_step: Callable[[], None]) -> None:

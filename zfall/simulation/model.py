@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from zfall.robots import Ball, PushPoint, Robot
+from zfall.robots import Ball, PushPoint, Robot, bare_model, load_spec
+from zfall.robots.declared import check_declared
 from zfall.robots.servos import Servo
 from zfall.simulation.look import dress
 from zfall.simulation.quantities import needed_sensors
@@ -44,6 +45,7 @@ def compile_model(
         robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos
     )
     if look:
+        spec.compiler.discardvisual = False
         dress(spec, robot)
     model = spec.compile()
     if not powered:
@@ -73,13 +75,14 @@ def model_spec(
         servos: by joint, in place of the MJCF's actuators; those as they are if ``None``.
 
     Raises:
-        ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, a
-            push point names a link that does not exist, a joint has no servo, or a servo lacks a
-            value.
+        ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, or is
+            another than the robot declares, a push point names a link that does not exist, a joint
+            has no servo, or a servo lacks a value.
     """
-    spec = mujoco.MjSpec.from_file(robot.mjcf)
+    spec = load_spec(robot)
     spec.option.timestep = physics_dt
     _check(spec, robot)
+    check_declared(robot)
     if servos is not None:
         put_servos(spec, robot, servos)
     plain = spec.compile()
@@ -143,6 +146,12 @@ def actuator_order(model: mujoco.MjModel, robot: Robot) -> slice | Tensor:
     """Joints in the order of the model's actuators; all as they are if it is the same."""
     order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
     return slice(None) if order == sorted(order) else torch.tensor(order)
+
+
+def base_center_of_mass(model: mujoco.MjModel) -> Tensor:
+    """Center of mass of the link that moves freely, in its own axes ``(3,)`` float32 [m]."""
+    free = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).nonzero()[0]
+    return torch.from_numpy(model.body_ipos[model.jnt_bodyid[free[0]]]).float()
 
 
 def push_point_bodies(model: mujoco.MjModel) -> dict[str, int]:
@@ -268,14 +277,14 @@ OPTIONS = ("gravity", "wind", "density", "viscosity", "integrator", "cone", "imp
 
 def identity_of(robot: Robot) -> str:
     """Name of a robot and a digest of its compiled physics: comments and poses may change."""
-    return _identity(robot.name, robot.mjcf)
+    return _identity(robot)
 
 
 @cache
-def _identity(name: str, mjcf: str) -> str:
-    model = mujoco.MjModel.from_xml_path(mjcf)
+def _identity(robot: Robot) -> str:
+    model = bare_model(robot)
     values = [getattr(model, field) for field in FIELDS]
     values += [getattr(model.opt, option) for option in OPTIONS]
     # Some seven digits: the last ones, and the sign of 0, may differ between machines.
     known = b"".join((np.round(v, 12).astype(np.float32) + 0.0).tobytes() for v in values)
-    return f"{name} {hashlib.sha256(known).hexdigest()[:8]}"
+    return f"{robot.name} {hashlib.sha256(known).hexdigest()[:8]}"

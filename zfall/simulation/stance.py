@@ -7,7 +7,7 @@ import mujoco
 import torch
 from torch import Tensor
 
-from zfall.robots import Robot
+from zfall.robots import Robot, bare_model
 from zfall.rotations import mean_orientation, rotate_inverse, turn_between, turn_to_heading
 
 
@@ -28,12 +28,12 @@ class Stance:
 
 def stance(robot: Robot) -> Stance:
     """The standing pose of a robot; compiled once."""
-    return _read(robot.mjcf, robot.feet)
+    return _read(robot)
 
 
 @cache
-def _read(mjcf: str, feet: tuple[str, str]) -> Stance:
-    model = mujoco.MjModel.from_xml_path(mjcf)
+def _read(robot: Robot) -> Stance:
+    model = bare_model(robot)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
     mujoco.mj_forward(model, data)
@@ -43,7 +43,7 @@ def _read(mjcf: str, feet: tuple[str, str]) -> Stance:
 
     base = torch.tensor(data.qpos[:7]).float()
     com = turn_to_heading(base[3:], (read("com_position") - base[:3])[:2])
-    left, right = (read(f"feet_orientation/{foot}") for foot in feet)
-    apart = read(f"feet_position/{feet[1]}") - read(f"feet_position/{feet[0]}")
+    left, right = (read(f"feet_orientation/{foot}") for foot in robot.feet)
+    apart = read(f"feet_position/{robot.feet[1]}") - read(f"feet_position/{robot.feet[0]}")
     offset = rotate_inverse(mean_orientation(left, right), apart)
     return Stance(com, offset, turn_between(left, right))

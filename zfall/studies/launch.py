@@ -1,12 +1,13 @@
 """One bar for a whole study, and its runs handed to other processes."""
 
+import json
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from rich.console import Console
@@ -86,25 +87,60 @@ def frames_done(total: int, folder: Path) -> int:
     return 0
 
 
-def sweep(numbers: Sequence[int], *, module: str, launcher: str, log: Path) -> None:
-    """Starts the recipe that runs now once more, as a hydra sweep over its key ``jobs``.
+def sweep(
+    key: str,
+    values: Sequence[Any],
+    *,
+    module: str,
+    launcher: str,
+    launch: Mapping[str, Any] | None,
+    log: Path,
+    more: Sequence[str] = (),
+) -> None:
+    """Starts the recipe that runs now once more, as a hydra sweep; it ends with this process.
 
     Args:
-        numbers: the values of ``jobs``.
+        key: that differs from job to job.
+        values: of it, one for each job.
         module: of the recipe, ``recipes.ablate``.
-        launcher: hydra's, which decides where each runs.
+        launcher: hydra's, which decides where each job runs.
+        launch: values of the launcher; None: its own.
         log: file to which all that is printed is added.
+        more: overrides for all jobs.
     """
     config = HydraConfig.get()
     given = config.overrides.task  # which study, and what of it was changed
-    command = [sys.executable, "-m", module, "-m", *given]
-    command += [f"jobs={','.join(map(str, numbers))}", f"hydra/launcher={launcher}"]
+    command = [sys.executable, "-m", "zfall.with_parent", module, "-m", *given, *more]
+    command += [f"{key}={','.join(map(_written, values))}", f"hydra/launcher={launcher}"]
+    command += [f"hydra.launcher.{key}={_written(value)}" for key, value in (launch or {}).items()]
     for source in config.runtime.config_sources:
         if source.provider == "command-line":  # a folder of the user's own studies
             command.append(f"--config-dir={source.path}")
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a") as file:
-        code = subprocess.run(command, stdout=file, stderr=file, check=False).returncode
+        code = _end_of(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=file, stderr=file))
     if code:
         last = (log.read_text().strip().splitlines() or ["nothing"])[-1]
         print(f"error: launcher {launcher} failed ({log}): {last}", file=sys.stderr)
+
+
+def _end_of(program: subprocess.Popen[bytes]) -> int:
+    """Waits for a program; what interrupts the wait ends the program as well."""
+    try:
+        return program.wait()
+    except BaseException:
+        assert program.stdin is not None
+        program.stdin.close()
+        program.wait()
+        raise
+
+
+def _written(value: Any) -> str:
+    """A value as hydra reads it."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{_written(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, Sequence):
+        return "[" + ",".join(map(_written, value)) + "]"
+    return "null" if value is None else str(value)

@@ -8,17 +8,29 @@ from rich.console import Console
 
 from zfall import checkpoint
 from zfall.commands import shown_path
+from zfall.configs import plain_containers
+from zfall.meaning import differences, meaning
 from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
-from zfall.training.loop import number_of_updates, resumed_config
+from zfall.training.loop import free_overrides, number_of_updates, resumed_config
+from zfall.training.parts import with_own_worlds
+from zfall.training.ranks import Ranks
 from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
-from zfall.training.stages import begin_stage, check_lengths, check_stages, stage_reached
+from zfall.training.stages import (
+    begin_stage,
+    check_lengths,
+    check_stages,
+    stage_reached,
+    written_out,
+)
 from zfall.training.trial_step import try_one_step
 from zfall.trust import config_of_file, targets_of, trusting
 
+AUTO = "auto"  # in place of a folder to go on from: the one of the run, if it was begun
+
 
 def begin(
-    folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console
+    folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console, ranks: Ranks
 ) -> tuple[Learner, RunFolder]:
     """All that training takes, nothing written before all is checked.
 
@@ -27,16 +39,27 @@ def begin(
         cfg: as composed.
         overrides: from the shell.
         console: shows what was repaired.
+        ranks: the processes that train it.
 
     Raises:
         ValueError: on a config or a checkpoint of which no training can be made.
     """
     state, notes, path = None, list[str](), folder / "checkpoints" / "last.pt"
+    if cfg.resume == AUTO and not path.exists():
+        for name in ("metrics.csv", "timing.csv"):  # of a run that was cut before its first save
+            (folder / name).unlink(missing_ok=True)
+        cfg.resume = None
     if cfg.resume is not None:
         state = checkpoint.load(path, checkpoint.TRAINING)
         check_version(state["run"], folder)
         stored = state["run"].get("whole_config", state["config"])
-        stored = OmegaConf.to_yaml(config_of_file(stored, path))  # before any of it is built
+        own = cfg.resume == AUTO
+        with trusting(targets_of(cfg) if own else []):
+            config = config_of_file(stored, path)  # before any of it is built
+        if own:
+            check_same_run(config, cfg, folder)
+            overrides = free_overrides(overrides)
+        stored = OmegaConf.to_yaml(config)
         check_lengths(stored, overrides, state["run"].get("stage", 0))
         cfg = resumed_config(stored, cfg, overrides, folder)
     elif holds_run(folder):
@@ -51,11 +74,11 @@ def begin(
     with trusting(targets_of(cfg)):  # what is trained must be readable, too
         config_of_file(OmegaConf.to_yaml(cfg, resolve=True), folder)
         if state is None:
-            check_stages(cfg)
+            check_stages(cfg, ranks)
     with checkpoint.reading(path):
         stage = stage_reached(cfg, state)
     try_one_step(stage.config.env)
-    learner = begin_stage(stage, folder, goes_on=state is not None)
+    learner = begin_stage(stage, folder, ranks, goes_on=state is not None)
     if state is not None:
         robot = identity_of(learner.env.base_env.robot)
         checkpoint.check_fits(state, robot, learner.actor, folder)
@@ -65,13 +88,32 @@ def begin(
                 f"behind it, got {stage.config.total_frames}."
             )
         with checkpoint.reading(path):
-            notes = learner.load_state_dict(state)
-    run = RunFolder(folder, cfg)
-    if state is None:
+            notes = learner.load_state_dict(with_own_worlds(state, folder, ranks))
+    ranks.gathered(None)  # all have read what is there
+    run = RunFolder(folder, cfg, ranks)
+    if state is None and ranks.leads:
         write_config(cfg, overrides, folder)
-    else:
+    elif state is not None:
         with checkpoint.reading(path):
             notes += run.load_state_dict(state["run"])
         for line in notes:
             console.print(line, soft_wrap=True)
     return learner, run
+
+
+def check_same_run(stored: DictConfig, given: DictConfig, folder: Path) -> None:
+    """Refuses to go on by ``resume=auto`` with a run of another config, but for its length.
+
+    Raises:
+        ValueError: naming the first key that differs.
+    """
+    configs = (stored, OmegaConf.create(written_out(given)))
+    before, now = ({str(k): v for k, v in plain_containers(each).items()} for each in configs)
+    for config in (before, now):
+        for key in ("total_frames", "resume"):
+            config.pop(key, None)
+    if differing := differences(meaning(before), meaning(now)):
+        raise ValueError(
+            f"{differing[0]} must be that of the run in {folder}, with which resume={AUTO} goes "
+            "on; another hydra.run.dir begins a run."
+        )

@@ -23,6 +23,8 @@ from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
+from zfall.training.parts import with_own_worlds
+from zfall.training.ranks import ALONE
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
 from zfall.training.stages import begin_stage, stage_reached
 from zfall.trust import targets_of, trusting
@@ -30,6 +32,30 @@ from zfall.trust import targets_of, trusting
 Look = Callable[[Learner], None]
 
 _OF_THE_CALL = ("resume", "trust")  # not of the run
+_FREE = (
+    "total_frames",
+    "checkpoint_every",
+    "showcase",
+    "logger",
+    "name",
+    "launch",
+    "device",
+)  # may change
+
+
+def free_overrides(overrides: Sequence[str]) -> list[str]:
+    """Those overrides from the shell that may be given to a run which goes on."""
+    return [override for override in overrides if _is_free(_key_of(override))]
+
+
+def _key_of(override: str) -> str:
+    return override.partition("=")[0].lstrip("+")
+
+
+def _is_free(key: str) -> bool:
+    parts = key.split(".")
+    length = len(parts) == 3 and parts[0] == "stages" and parts[2] == "total_frames"
+    return key in _OF_THE_CALL or parts[0] in _FREE or length
 
 
 def resumed_config(
@@ -40,15 +66,12 @@ def resumed_config(
     Raises:
         ValueError: on a value that cannot change in the middle of a run.
     """
-    free = ("total_frames", "checkpoint_every", "showcase", "logger", "name")
-    keys = [override.partition("=")[0].lstrip("+") for override in overrides]
+    keys = [_key_of(override) for override in overrides]
     for key in keys:
-        parts = key.split(".")
-        length = len(parts) == 3 and parts[0] == "stages" and parts[2] == "total_frames"
-        if key not in _OF_THE_CALL and key.split(".")[0] not in free and not length:
+        if not _is_free(key):
             raise ValueError(
                 f"{key} must not be given with resume, it is that of {folder}; "
-                f"only {', '.join(free)} may change."
+                f"only {', '.join(_FREE)} may change."
             )
     cfg = DictConfig(OmegaConf.create(stored))
     # What a run from before these keys did; an experiment says what new ones do.
@@ -81,7 +104,7 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         run = RunFolder(folder, cfg)
         if state is not None:
             with checkpoint.reading(path):
-                notes = learner.load_state_dict(state)
+                notes = learner.load_state_dict(with_own_worlds(state, folder, ALONE))
                 notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)
@@ -135,7 +158,8 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
             times.append(time.perf_counter())
             losses = learner.learn(batch)
             times.append(time.perf_counter())
-            metrics = batch_metrics(batch, learner.carrier, control_dt)
+            metrics = batch_metrics(batch, learner.carrier, control_dt, learner.ranks)
+            learner.ranks.check_same(learner.parameters)
             figures = exploration_of(learner.actor, batch) if run.loggers else {}
             run.write(learner, metrics, losses, times, figures)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates in (1, total):
@@ -155,7 +179,9 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
                 of = f"{run.stage.name} " if run.stage.name else ""
                 console.print(f"{of}{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
-            if stop.is_set() and not (learner.updates == total and run.at_last_stage):
+            if learner.ranks.any(stop.is_set()) and not (
+                learner.updates == total and run.at_last_stage
+            ):
                 run.save(learner, "last")
                 return False
     return True

@@ -7,10 +7,11 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from zfall.envs.terms.calm import at_rest, idle_servos, still_actions, still_joints
+from zfall.envs.terms.calm import at_rest, idle_servos, rest_posture, still_actions, still_joints
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.rewards import WeightedReward
 from zfall.envs.transforms.windows import LastAction
+from zfall.robots import ZEROTH01
 
 BEFORE = TensorDict({k: torch.zeros(1, 20) for k in ("action", "last_action")}, [1])
 
@@ -62,6 +63,22 @@ def test_load_can_be_another_quantity():
     after["mean_joint_torque"] = torch.full((1, 20), 0.2)
     value = idle_servos(BEFORE, after, reach=0.04, sigma=0.2, torque="mean_joint_torque")
     assert value.item() == pytest.approx(math.exp(-1))
+
+
+def test_the_pose_to_rest_in_is_the_standing_pose_and_its_offsets():
+    """Of 20 joints five away by 0.4 have a mean square of 0.04: 1/e at a sigma of 0.2."""
+    after = standing()
+    after["joint_position"] = torch.tensor([ZEROTH01.stand_position], dtype=torch.float32)
+    rest = partial(rest_posture, robot=ZEROTH01, reach=0.04, sigma=0.2)
+    assert rest(BEFORE, after).item() == pytest.approx(1.0)
+    offsets = dict.fromkeys(ZEROTH01.joints[3:8], 0.4)
+    assert rest(BEFORE, after, offsets=offsets).item() == pytest.approx(math.exp(-1))
+    after["joint_position"][:, 3:8] += 0.4
+    assert rest(BEFORE, after, offsets=offsets).item() == pytest.approx(1.0)
+    after["com_position"][:, 0] = 0.04
+    assert rest(BEFORE, after, offsets=offsets).item() == pytest.approx(math.exp(-1))
+    with pytest.raises(ValueError, match="offsets must name joints of zeroth01, got knee"):
+        rest(BEFORE, after, offsets={"knee": 0.1})
 
 
 def test_actions_count_by_their_change_in_an_env_as_well(make_task):

@@ -20,7 +20,10 @@ TABLES = st.tuples(
     st.sampled_from(list(TARGETS)),
     st.sets(st.sampled_from(list(TABLE)), min_size=1).map(lambda names: names | {"limit"}),
 )
-ELSEWHERE = {"ScriptedStart"}  # of Python alone, see test_starts.py
+ELSEWHERE = {
+    "ForeignJointTarget",  # another kind of target, see foreign/test_target.py
+    "ScriptedStart",  # of Python alone, see test_starts.py
+}
 EVERYTHING = ("position", set(TABLE))
 
 
@@ -28,7 +31,7 @@ def run(env: TransformedEnv, td, steps: int, seed: int):
     """Random actions, episodes that end and begin; the data and what goes on from them."""
     generator, seen = torch.Generator().manual_seed(seed), []
     for _ in range(steps):
-        td["action"] = 0.5 * torch.randn(env.num_envs, 20, generator=generator)
+        td["action"] = 0.5 * torch.randn(env.action_spec.shape, generator=generator)
         data, td = env.step_and_maybe_reset(td)
         seen.append(data["next"].clone())
     return seen, td
@@ -103,8 +106,8 @@ def test_a_world_is_the_same_in_any_company(table, places, seed):
     one, two = few.reset(), many.reset()
     for step in range(12):
         equal(one[1:3].exclude("action"), two[rows].exclude("action"))
-        one["action"] = 0.5 * torch.randn(4, 20, generator=generator)
-        two["action"] = 0.5 * torch.randn(6, 20, generator=generator)
+        one["action"] = 0.5 * torch.randn(few.action_spec.shape, generator=generator)
+        two["action"] = 0.5 * torch.randn(many.action_spec.shape, generator=generator)
         two["action"][rows] = one["action"][1:3]
         one, (_, two) = few.step_and_maybe_reset(one)[1], many.step_and_maybe_reset(two)
         if step % 4 == 1:

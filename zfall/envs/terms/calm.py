@@ -4,11 +4,14 @@ Each of these is multiplied by ``at_rest``, so that it asks for nothing while th
 itself.
 """
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.terms.balance import capture_point
+from zfall.robots import Robot
 from zfall.values import Name, Positive
 
 
@@ -62,6 +65,41 @@ def idle_servos(
     ``MovingAverage`` of it shows that. Returns ``(*B, 1)`` in [0, 1].
     """
     return _calm(next_td[torque], sigma) * at_rest(td, next_td, reach=reach)
+
+
+def rest_posture(
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    robot: Robot,
+    reach: Positive,
+    sigma: Positive,
+    offsets: Mapping[str, float] | None = None,
+) -> Tensor:
+    """High in a pose to rest in: ``at_rest exp(-mean((q - q0 - offset)^2) / sigma^2)``.
+
+    Reads ``joint_position`` ``(*B, J)`` [rad] and what ``at_rest`` reads; ``reach`` [m],
+    ``sigma`` [rad]. Returns ``(*B, 1)`` in [0, 1].
+
+    Args:
+        td: before the step.
+        next_td: after it.
+        robot: whose standing reference pose is q0.
+        reach: of the capture point, see ``at_rest``.
+        sigma: root mean square over joints at which it has fallen to 1/e.
+        offsets: of the pose from q0, by joint [rad]; joints that are not named have none.
+
+    Raises:
+        ValueError: if the robot has no such joint.
+    """
+    offsets = offsets or {}
+    for name in offsets:
+        if name not in robot.joints:
+            raise ValueError(f"offsets must name joints of {robot.name}, got {name}.")
+    position = next_td["joint_position"]
+    pose = position.new_tensor(robot.stand_position)
+    pose = pose + position.new_tensor([offsets.get(name, 0.0) for name in robot.joints])
+    return _calm(position - pose, sigma) * at_rest(td, next_td, reach=reach)
 
 
 def _calm(value: Tensor, sigma: float) -> Tensor:

@@ -47,7 +47,7 @@ class Envelope:
                 f"battery.resolution must be below {max(battery.impulses):g}, the largest of "
                 f"impulses, got {shown(resolution)}."
             )
-        check_unused(battery, "interval", "forces")
+        check_unused(battery, "interval", "forces", "commands")
         check_single(battery, "duration")
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:

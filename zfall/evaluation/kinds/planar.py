@@ -43,7 +43,7 @@ class Planar:
 
     def check(self, battery: Battery) -> None:
         """One push point and duration, and no random or listed pushes."""
-        check_unused(battery, "resolution", "interval", "forces")
+        check_unused(battery, "resolution", "interval", "forces", "commands")
         check_single(battery, "duration", "point")
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:

@@ -36,7 +36,7 @@ class Spherical:
 
     def check(self, battery: Battery) -> None:
         """A mean rest between pushes, and no listed ones."""
-        check_unused(battery, "resolution", "forces")
+        check_unused(battery, "resolution", "forces", "commands")
         if battery.interval is None:
             raise ValueError("battery.interval must be a number of seconds, got null.")
 

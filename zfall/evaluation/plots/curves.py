@@ -116,6 +116,27 @@ def learning_bands(
         figure.savefig(new, format=path.suffix[1:], dpi=300, metadata=metadata)
 
 
+def learning_table(groups: Mapping[str, Sequence[pd.DataFrame]]) -> pd.DataFrame:
+    """What ``learning_bands`` draws of returns and lengths of episodes, as numbers.
+
+    Rows: ``name``, ``frames`` and, of ``episode_return`` and ``episode_seconds`` [s], the mean over
+    the runs of a group, their least and their greatest (``_low``, ``_high``).
+
+    Args:
+        groups: as there.
+    """
+    tables = []
+    for name, runs in groups.items():
+        edges = np.linspace(0.0, min(float(run["frames"].max()) for run in runs), POINTS + 1)
+        columns: dict[str, Any] = {"name": name, "frames": 0.5 * (edges[1:] + edges[:-1])}
+        for key in ("episode_return", "episode_seconds"):
+            curves = np.array([_binned(run, key, edges) for run in runs])
+            columns |= {key: curves.mean(0)}
+            columns |= {f"{key}_low": curves.min(0), f"{key}_high": curves.max(0)}
+        tables.append(pd.DataFrame(columns))
+    return pd.concat(tables, ignore_index=True)
+
+
 def _binned(run: pd.DataFrame, key: str, edges: np.ndarray) -> np.ndarray:
     """Means of a column between edges ``(K,)`` of the frames; gaps take their neighbours' line."""
     bins = np.digitize(run["frames"], edges[1:], right=True)

@@ -1,0 +1,228 @@
+"""What follows from an MJCF, on a toy whose numbers are known; and what is refused, in one line."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.toy import FOOT, HALF_FOOT, HINGES, MASS, toy_mjcf
+from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, load_spec
+from zfall.robots.anatomy import hips_of
+from zfall.robots.declared import check_declared
+from zfall.robots.symmetry import find_symmetry
+from zfall.robots.units import factor, sized
+from zfall.simulation.model import compile_model
+
+POSITION = '<position joint="{name}" kp="{kp}" kv="0.5" gear="{gear}" forcerange="-6 6"/>'
+
+
+def toy(folder: Path, **changes: object) -> Robot:
+    return Robot(name="toy", mjcf=str(toy_mjcf(folder, **changes)))
+
+
+def test_a_toy_is_known_from_its_tree(tmp_path):
+    robot = toy(tmp_path)
+    assert robot.joints == tuple(f"{s}_{h}" for s in ("left", "right") for h in HINGES)
+    assert robot.legs == robot.joints
+    assert robot.mass == pytest.approx(MASS)
+    assert robot.sole_half_size == pytest.approx(HALF_FOOT)
+    assert robot.regions[:2] == ("torso", "left_thigh")
+    assert robot.regions[-2:] == ("left_foot", "right_foot")
+    assert robot.push_points["torso"] == PushPoint(body="trunk")
+    assert [robot.joints[i] for i in hips_of(robot)] == ["left_hip", "right_hip"]
+    assert robot.mirror["left_knee"] == "right_knee"
+    assert set(robot.mirror_sign) == {-1.0}  # the axes of its right leg are turned around
+
+
+def test_height_is_that_of_the_pose_that_the_servos_hold(tmp_path):
+    """Straight legs: sum of m z, the lowest box's bottom on the floor."""
+    robot = toy(tmp_path)
+    masses = np.array([1.3, 0.6, 0.4, 0.2])
+    hip, knee, ankle = 0.29, 0.16, 0.03  # the floor is 3 cm below the ankles
+    heights = np.array([hip + 0.03 + 0.03, hip - 0.065, knee - 0.06, ankle - 0.02])
+    expected = masses @ heights / masses.sum()
+    assert robot.com_height == pytest.approx(expected, abs=2e-3)
+
+
+def test_a_motor_gets_a_controller_with_its_largest_torque(tmp_path):
+    model = bare_model(toy(tmp_path))
+    actuator = model.actuator("left_knee")
+    np.testing.assert_allclose(actuator.forcerange, [-10.0, 10.0])  # gear x control range
+    upright = MASS * 9.81 * 0.25  # holds the robot as a pendulum upside down
+    assert actuator.gainprm[0] >= max(10.0 / 0.35, upright) - 1e-6
+    assert actuator.biasprm[2] < 0.0  # damped
+
+
+def test_a_geared_position_actuator_is_the_same_servo_at_the_joint(tmp_path):
+    """Torque g kp (g target - g q): stiffness, damping and limit with the gear."""
+    model = bare_model(toy(tmp_path, actuator=POSITION.format(name="{name}", kp=3, gear=4)))
+    actuator = model.actuator("right_ankle")
+    assert actuator.gainprm[0] == pytest.approx(3 * 4**2)
+    assert actuator.biasprm[2] == pytest.approx(-0.5 * 4**2)
+    np.testing.assert_allclose(actuator.forcerange, [-24.0, 24.0])
+
+
+def test_a_dc_motor_loses_torque_with_speed_and_gives_what_its_voltage_can(tmp_path):
+    """At rest gear K V / R; each rad/s costs (gear K)^2 / R."""
+    motor = (
+        '<dcmotor name="{name}" joint="{name}" motorconst="0.05" resistance="2" gear="20" '
+        'ctrlrange="-12 12" ctrllimited="true"/>'
+    )
+    model = bare_model(toy(tmp_path, actuator=motor))
+    np.testing.assert_allclose(
+        model.actuator("left_hip").forcerange, 20 * 0.05 * 12 / 2 * np.array([-1, 1])
+    )
+    assert model.joint("left_hip").damping[0] == pytest.approx(0.05 + (20 * 0.05) ** 2 / 2)
+
+
+def test_declared_stiffness_is_used(tmp_path):
+    path = str(toy_mjcf(tmp_path))
+    model = bare_model(Robot(name="toy", mjcf=path, stiffness={"left_hip": 77.0}))
+    assert model.actuator("left_hip").gainprm[0] == pytest.approx(77.0)
+    assert model.actuator("right_hip").gainprm[0] != pytest.approx(77.0)
+
+
+def test_a_joint_without_stops_has_a_range_for_its_targets(tmp_path):
+    text = toy_mjcf(tmp_path).read_text().replace('range="-1 1"', "")
+    (tmp_path / "toy.xml").write_text(text)
+    model = bare_model(Robot(name="toy", mjcf=str(tmp_path)))
+    np.testing.assert_allclose(model.joint("left_ankle").range, [-np.pi, np.pi])
+    assert not model.jnt_limited[model.joint("left_ankle").id]
+
+
+def test_what_is_added_moves_nothing(tmp_path):
+    """The physics of the completed toy is that of its MJCF, whatever reads it."""
+    robot = toy(tmp_path, actuator=POSITION.format(name="{name}", kp=40, gear=1))
+    spec = load_spec(robot)
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    models = [bare_model(robot), spec.compile()]
+    states = []
+    for model in models:
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        data.qvel[:2] = [0.3, 0.1]
+        for _ in range(200):
+            mujoco.mj_step(model, data)
+        states.append(data.qpos.copy())
+    np.testing.assert_array_equal(*states)
+
+
+def test_a_foot_with_a_toe_has_one_sole(tmp_path):
+    toe = (
+        FOOT + '<body name="{side}_toe" pos="0.08 0 -0.02"><joint name="{side}_toe" axis="0 1 0" '
+        'stiffness="5" range="-1 1"/><geom type="box" size="0.02 0.03 0.01" pos="0.02 0 0" '
+        'mass="0.02"/></body>'
+    )
+    robot = toy(tmp_path, foot=toe)
+    assert robot.sole_half_size == pytest.approx((0.08, 0.03))
+    assert robot.additions.regions["left_foot"] == ("left_sole", "left_toe")
+    assert len(robot.joints) == 6  # nothing drives the toes
+    model = bare_model(robot)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for _ in range(400):
+        mujoco.mj_step(model, data)
+    weight = -sum(data.sensor(f"feet_contact/{foot}").data[3] for foot in robot.feet)
+    assert weight == pytest.approx(robot.mass * 9.81, rel=0.02)
+
+
+def test_an_asymmetric_toy_says_so(tmp_path):
+    robot = toy(tmp_path, right=0.99, more="")
+    assert robot.mirror  # 1 % is not seen
+    with pytest.raises(ValueError, match="servos must hold|same|sides|lowest"):
+        toy(tmp_path, right=0.7)
+    text = toy_mjcf(tmp_path).read_text()
+    lame = text.replace('name="left_hip" axis="0 1 0"', 'name="left_hip" axis="0.8 0.6 0"')
+    (tmp_path / "toy.xml").write_text(lame)
+    robot = Robot(name="toy", mjcf=str(tmp_path))
+    with pytest.raises(ValueError, match="toy must be symmetric .* symmetry=none"):
+        assert robot.mirror_index
+
+
+def test_the_mirror_of_the_default_robot_is_found_as_it_is_declared():
+    found = find_symmetry(bare_model(ZEROTH01), ZEROTH01.joints)
+    assert found is not None
+    assert found.partner == ZEROTH01.mirror_index
+    assert found.sign == ZEROTH01.mirror_sign
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"free": ""}, "must have a free joint, it has none"),
+        ({"foot": '<geom type="box" size="0.06 0.03 0.01" mass="0.1" contype="0" conaffinity="0"/>',
+          "more": ""}, "it falls: after"),
+        ({"foot": '<geom size="0.01" pos="0 0 -0.02" mass="0.1"/>'}, "it falls: after"),
+        ({"key": 'qpos="0 0 0.3 1 0 0 0 1.2 0 0 -1.2 0 0"'}, "it falls: after"),
+        ({"actuator": '<motor joint="{name}"/>'}, "left_hip must have a largest torque"),
+        ({"actuator": '<velocity joint="{name}" kv="1" forcerange="-1 1"/>'}, "must be a motor"),
+        ({"actuator": ""}, "must have actuators on hinge joints, it has none"),
+        ({"actuator": '<motor joint="{name}" ctrlrange="-1 1"/><motor joint="{name}"/>'}, "one actuator"),
+        ({"foot": '<geom type="mesh" mesh="gone" mass="0.1"/>',
+          "more": "<asset><mesh name='gone' file='gone.stl'/></asset>"}, "gone.stl"),
+        ({"more": "<nonsense/>"}, "mjcf must be an MJCF"),
+    ],
+)  # fmt: skip
+def test_a_toy_that_is_no_humanoid_is_refused_in_one_line(tmp_path, change, says):
+    with pytest.raises(ValueError, match=says) as refused:
+        toy(tmp_path, **change)
+    assert "\n" not in str(refused.value)
+    assert "toy.xml" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("mjcf", "says"),
+    [
+        ("gone.xml", "there is no .*gone.xml"),
+        ("no_such_package:robot.xml", r"no_such_package is not: pip install 'zfall\[robots\]'"),
+    ],
+)
+def test_an_mjcf_that_is_not_there_is_refused(tmp_path, mjcf, says):
+    place = mjcf if ":" in mjcf else str(tmp_path / mjcf)
+    with pytest.raises(ValueError, match=says):
+        Robot(name="toy", mjcf=place)
+
+
+def test_of_a_folder_with_several_mjcf_the_file_must_be_named(tmp_path):
+    toy_mjcf(tmp_path)
+    (tmp_path / "scene.xml").write_text("<mujoco/>")
+    assert Robot(name="toy", mjcf=str(tmp_path)).mjcf.endswith("toy.xml")  # a scene is none
+    (tmp_path / "other.xml").write_text("<mujoco/>")
+    with pytest.raises(ValueError, match=r"has other.xml, scene.xml, toy.xml: name the file"):
+        Robot(name="toy", mjcf=str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("declared", "says"),
+    [
+        ({"mass": 4.0}, "mass of zeroth01 must be that of its MJCF, 3.349 kg, got 4 kg"),
+        ({"com_height": 0.3}, "com_height .* 0.2202 m, got 0.3 m"),
+        ({"stand": {"left_knee_pitch": -0.3}}, "stand of zeroth01 .* keyframe"),
+        ({"mirror_keeps_sign": ("knee",)}, "mirror of zeroth01 must exchange its sides"),
+    ],
+)
+def test_what_is_declared_against_the_model_is_refused(declared, says):
+    with pytest.raises(ValueError, match=says):
+        check_declared(replace(ZEROTH01, **declared))
+
+
+def test_what_a_derived_robot_declares_is_held_against_its_model(tmp_path):
+    robot = Robot(name="toy", mjcf=str(toy_mjcf(tmp_path)), mass=3.0)
+    with pytest.raises(ValueError, match=re.escape("mass of toy must be that of its MJCF, 2.5 kg")):
+        compile_model(robot, physics_dt=0.004)
+
+
+def test_numbers_of_another_size_have_the_same_dimensionless_value(tmp_path):
+    """Push of I for T sqrt(h / g), speed v / sqrt(g h)."""
+    robot = toy(tmp_path)
+    longer = robot.com_height / ZEROTH01.com_height
+    assert factor(robot, "time") == pytest.approx(longer**0.5)
+    assert factor(robot, "rate") == pytest.approx(longer**-0.5)
+    given = {"_target_": "zfall.robots.Robot", "name": "toy", "mjcf": robot.mjcf}
+    assert sized(0.32, "speed", given) == pytest.approx(0.32 * longer**0.5, rel=1e-3)
+    with pytest.raises(ValueError, match="unit must be one of length, time"):
+        factor(robot, "area")
