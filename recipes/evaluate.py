@@ -20,8 +20,8 @@ from .shell import (
     Run,
     check_recipe,
     choice,
+    loading,
     one_line_errors,
-    servo_change,
     start,
 )
 
@@ -84,10 +84,8 @@ def main(cfg: DictConfig) -> None:
         names = names_of(cfg, battery)
         candidates = load_candidates(
             names,
-            task=cfg.env if choice("env") else None,
             default_task=kind_of(battery).baseline_task,
-            checkpoint=cfg.checkpoint,
-            change=[*servo_change(), *cfg.change],
+            **loading(cfg),
             keep=cfg.keep,
             memory=cfg.memory,
             world=battery.world,

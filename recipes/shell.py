@@ -113,6 +113,13 @@ def choice(group: str) -> str | None:
     return None if chosen in (None, "null") else str(chosen)
 
 
+def loading(cfg: DictConfig) -> dict[str, Any]:
+    """What the keys env, servo, checkpoint and change say of how candidates are loaded."""
+    change = [*servo_change(), *cfg.change]
+    task = cfg.env if choice("env") else None
+    return {"task": task, "checkpoint": cfg.checkpoint, "change": change}
+
+
 def servo_change() -> list[str]:
     """Changes of an env that ``robot=NAME`` and ``servo=NAME`` ask for, see ``tables.changed``."""
     return [f"{group}={name}" for group in ("robot", "servo") if (name := choice(group))]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,10 +11,11 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
+from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import play
-from zfall.evaluation.video import Outcomes, frame
+from zfall.evaluation.video import Outcomes, film, frame
 
 FIRST, APART, DURATION = 1.0, 4.0, 0.1  # when pushes begin, and their length [s]
 UNITS = {"seconds": "s", "forward_velocity": "m/s", "distance": "m"}
@@ -147,6 +149,41 @@ def walk(
     times = zip(fall_time[:filmed].tolist(), end_time[:filmed].tolist(), strict=True)
     outcomes = [said(fall, seconds, ended=end) for fall, end in times]
     return Played(figures, np.stack(states), np.stack(forces), outcomes)
+
+
+def film_of(
+    played: Played,
+    base: HumanoidEnv,
+    label: str,
+    path: Path,
+    *,
+    slow: float = 1.0,
+    follow: Callable[[Iterable[int], int], Iterable[int]] = lambda frames, total: frames,
+) -> None:
+    """Films what was played, one column per world.
+
+    Args:
+        played: by ``walk``.
+        base: the env in which.
+        label: of who played.
+        path: of the mp4.
+        slow: 0.25 shows it four times as slow.
+        follow: passes the frames on, given their number, as a progress bar does.
+
+    Raises:
+        RuntimeError: if no OpenGL is to be had.
+    """
+    film(
+        base.camera.model,
+        {label: played.states},
+        [f"world {i}" for i in range(played.states.shape[1])],
+        played.forces,
+        path,
+        dt=frame(base),
+        slow=slow,
+        outcomes={label: played.outcomes},
+        follow=follow,
+    )
 
 
 def said(fall_time: float, end: float, *, ended: float = math.nan) -> Outcomes:
