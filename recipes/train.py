@@ -44,7 +44,7 @@ def main(cfg: DictConfig) -> None:
             check_holds_run(folder, "resume")
             remove_if_empty(made)  # it is not needed
         if is_launcher(cfg.launch.ranks):
-            command = again(f"{__package__}.train", made if cfg.resume is None else None)
+            command = again(f"{__package__}.train", made if folder == made else None)
             raise SystemExit(run_ranks(command, cfg.launch.ranks, folder))
         with ranks_of(cfg) as ranks:
             folder = shared_folder(ranks, folder)

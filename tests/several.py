@@ -42,7 +42,7 @@ def in_each(function: Callable[..., Any], size: int, folder: Path, *args: Any) -
     for process in processes:
         process.start()
     for process in processes:
-        process.join(120)
+        process.join(600)
         assert process.exitcode == 0
     return [pickle.loads((folder / f"{rank}.pickle").read_bytes()) for rank in range(size)]
 
@@ -86,7 +86,7 @@ def train_in_each(overrides: list[list[str]], folder: Path, size: int | None = N
     for process in processes:
         process.start()
     for process in processes:
-        process.join(120)
+        process.join(600)
     ended = []
     for rank, process in enumerate(processes):
         texts = [(folder / f"{rank}.{name}").read_text() for name in ("out", "err")]

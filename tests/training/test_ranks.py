@@ -1,5 +1,6 @@
 """One training in several processes: the same as in one."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -52,8 +53,20 @@ def learned(cfg: Any, ranks: Ranks, count: int) -> dict[str, Any]:
 def test_ranks_learn_what_one_process_with_all_their_worlds_learns(kind, tmp_path):
     """Every figure of every update, and the weights; losses, masks, normalisers and all."""
     size, overrides = TRAININGS[kind]
-    alone = learned(config(*overrides), ALONE, 4)
-    everyone = in_each(updates, size, tmp_path, overrides, 4)
+    assert_equal(size, overrides, 4, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["mlp", "gru"])
+def test_two_ranks_of_256_worlds_learn_what_one_of_512_learns_in_ten_updates(kind, tmp_path):
+    size, overrides = TRAININGS[kind]
+    usual = [each for each in overrides if each not in BUSY]
+    assert_equal(size, [*usual, "num_envs=512", "groups=null"], 10, tmp_path)
+
+
+def assert_equal(size: int, overrides: list[str], count: int, folder: Path) -> None:
+    alone = learned(config(*overrides), ALONE, count)
+    everyone = in_each(updates, size, folder, overrides, count)
     for rank, own in enumerate(everyone):
         for update, (one, other) in enumerate(zip(alone["rows"], own["rows"], strict=True)):
             assert one.keys() == other.keys()

@@ -151,6 +151,12 @@ def actuator_order(model: mujoco.MjModel, robot: Robot) -> slice | Tensor:
     return slice(None) if order == sorted(order) else torch.tensor(order)
 
 
+def base_center_of_mass(model: mujoco.MjModel) -> Tensor:
+    """Center of mass of the link that moves freely, in its own axes ``(3,)`` float32 [m]."""
+    free = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).nonzero()[0]
+    return torch.from_numpy(model.body_ipos[model.jnt_bodyid[free[0]]]).float()
+
+
 def push_point_bodies(model: mujoco.MjModel) -> dict[str, int]:
     """Index of the massless body of every push point, by name."""
     names = [model.body(i).name for i in range(model.nbody)]

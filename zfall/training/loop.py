@@ -21,6 +21,8 @@ from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
+from zfall.training.parts import with_own_worlds
+from zfall.training.ranks import ALONE
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
 from zfall.training.stages import begin_stage, stage_reached
 from zfall.trust import targets_of, trusting
@@ -100,7 +102,7 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         run = RunFolder(folder, cfg)
         if state is not None:
             with checkpoint.reading(path):
-                notes = learner.load_state_dict(state)
+                notes = learner.load_state_dict(with_own_worlds(state, folder, ALONE))
                 notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)

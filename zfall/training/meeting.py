@@ -40,11 +40,6 @@ def ranks_of(cfg: DictConfig) -> Iterator[Ranks]:
         yield ALONE
         return
     rank, size = int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])
-    if cfg.launch.ranks not in (None, size):
-        raise ValueError(
-            f"launch.ranks must be null or the {size} processes that were started, "
-            f"got {cfg.launch.ranks}."
-        )
     torch.set_num_threads(usable_cores())
     wait = timedelta(seconds=cfg.launch.timeout)
     store = _store(rank, size, wait)
@@ -57,6 +52,11 @@ def ranks_of(cfg: DictConfig) -> Iterator[Ranks]:
         raise RankLost(f"launch.ranks must reach each other, {_first_line(error)}.") from error
     ranks = SeveralRanks(store, cfg.launch.timeout)
     _check_one_mind(ranks, cfg)
+    if cfg.launch.ranks not in (None, size):
+        raise ValueError(
+            f"launch.ranks must be null or the {size} processes that were started, "
+            f"got {cfg.launch.ranks}."
+        )
     try:
         yield ranks
     except SystemExit as stop:

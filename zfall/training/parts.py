@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from zfall import checkpoint
+from zfall.training.collection import Worlds
 from zfall.training.ranks import Ranks
 
 _KINDS: checkpoint.Kinds = {"worlds": list}
 
 
-def write_part(folder: Path, ranks: Ranks, worlds: list[Any], updates: int) -> None:
+def write_part(folder: Path, ranks: Ranks, worlds: Worlds, updates: int) -> None:
     """Writes what a rank's worlds are in after so many updates; the leading one's is elsewhere."""
     if ranks.leads:
         return
     path = part_of(folder, ranks.rank, ranks.size, updates)
     path.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint.save(path, {"worlds": worlds})
+    checkpoint.save(path, {"worlds": worlds.state_dict()})
 
 
 def drop_parts(folder: Path, updates: int) -> None:

@@ -196,13 +196,14 @@ class RunFolder:
 
     def save(self, learner: Learner, name: str) -> None:
         """Writes ``checkpoints/NAME.pt``, of ``last`` every rank its worlds."""
-        content = learner.state_dict() | {"run": self.state_dict(learner)}
         if name == "last":
-            write_part(self.folder, self.ranks, content["worlds"], self.updates(learner))
+            write_part(self.folder, self.ranks, learner.worlds, self.updates(learner))
             self.ranks.gathered(None)  # they are all there
-        if self.ranks.leads:
-            checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
-        if self.ranks.leads and name == "last":
+        if not self.ranks.leads:
+            return
+        content = learner.state_dict() | {"run": self.state_dict(learner)}
+        checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
+        if name == "last":
             drop_parts(self.folder, self.updates(learner))
 
     def next_stage(self, learner: Learner) -> Learner:

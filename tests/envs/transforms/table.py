@@ -12,7 +12,7 @@ from zfall.robots import ZEROTH01, Ball, Robot
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
-_TERMS = "zfall.envs.terms"
+_TERMS, _FOREIGN = "zfall.envs.terms", "zfall.envs.transforms.foreign.terms"
 _ESTIMATION, _WINDOWS = "zfall.envs.transforms.estimation", "zfall.envs.transforms.windows"
 TARGETS = {
     "position": {"_target_": f"{_ACTIONS}.JointPositionTarget", "scale": 0.6},
@@ -176,6 +176,17 @@ TABLE = {  # in the order of a yaml
         "out_key": "observation",
         "measured": True,
         "keys": [*IMU, "joint_position", "joint_velocity"],
+    },
+    "foreign": {
+        "_target_": "zfall.envs.transforms.foreign.ForeignObservation",
+        "joints": sorted(ZEROTH01.joints),
+        "terms": [
+            {"of": {"_target_": f"{_FOREIGN}.JointPosition"}, "scale": 0.5},
+            {"of": {"_target_": f"{_FOREIGN}.PreviousAction"}, "clip": [-1.0, 1.0]},
+            {"of": {"_target_": f"{_FOREIGN}.GaitClock", "frequency": 1.5}},
+        ],
+        "history": 2,
+        "out_key": "foreign",
     },
     "normalized": {
         "_target_": f"{_SENSING}.NormalizedVector",

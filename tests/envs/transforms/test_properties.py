@@ -20,7 +20,10 @@ TABLES = st.tuples(
     st.sampled_from(list(TARGETS)),
     st.sets(st.sampled_from(list(TABLE)), min_size=1).map(lambda names: names | {"limit"}),
 )
-ELSEWHERE = {"ScriptedStart"}  # of Python alone, see test_starts.py
+ELSEWHERE = {
+    "ForeignJointTarget",  # another kind of target, see foreign/test_target.py
+    "ScriptedStart",  # of Python alone, see test_starts.py
+}
 EVERYTHING = ("position", set(TABLE))
 
 
