@@ -111,6 +111,15 @@ def test_what_is_added_moves_nothing(tmp_path):
     np.testing.assert_array_equal(*states)
 
 
+def test_what_is_only_seen_is_left_out_of_the_physics_and_kept_for_pictures(tmp_path):
+    shell = '<geom size="0.05" contype="0" conaffinity="0" mass="0"/>'
+    robot = toy(tmp_path, foot=FOOT + shell)
+    stepped, shown = (compile_model(robot, physics_dt=0.004, look=look) for look in (False, True))
+    assert shown.ngeom == stepped.ngeom + 2
+    assert shown.nq == stepped.nq
+    assert shown.camera("track").id >= 0
+
+
 def test_a_foot_with_a_toe_has_one_sole(tmp_path):
     toe = (
         FOOT + '<body name="{side}_toe" pos="0.08 0 -0.02"><joint name="{side}_toe" axis="0 1 0" '
