@@ -163,7 +163,9 @@ class _Drive:
         by_hand = isinstance(error, KeyboardInterrupt)
         why = str(error) if isinstance(error, Stopped) else in_one_line(error)
         why = "by hand" if by_hand else why or repr(error)
-        servos, failed, time = self.settings.stop, None, self.answered
+        servos: str = self.settings.stop
+        failed: Exception | None = None
+        time = self.answered
         try:
             if self.settings.stop == "limp":
                 self.write(registers.TORQUE_ENABLE, 0)
