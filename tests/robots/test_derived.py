@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.toy import FOOT, HALF_FOOT, HINGES, MASS, toy_mjcf
-from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, load_spec
+from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, full_spec
 from zfall.robots.anatomy import hips_of
 from zfall.robots.declared import check_declared
 from zfall.robots.symmetry import find_symmetry
@@ -96,7 +96,7 @@ def test_a_joint_without_stops_has_a_range_for_its_targets(tmp_path):
 def test_what_is_added_moves_nothing(tmp_path):
     """The physics of the completed toy is that of its MJCF, whatever reads it."""
     robot = toy(tmp_path, actuator=POSITION.format(name="{name}", kp=40, gear=1))
-    spec = load_spec(robot)
+    spec = full_spec(robot)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     models = [bare_model(robot), spec.compile()]

@@ -56,7 +56,7 @@ def speaks_our_names(spec: mujoco.MjSpec) -> bool:
     return any(sensor.name == "com_position" for sensor in spec.sensors)
 
 
-def load_spec(robot: "Robot") -> mujoco.MjSpec:
+def full_spec(robot: "Robot") -> mujoco.MjSpec:
     """The spec of a robot, with all that the env needs.
 
     Raises:
@@ -72,9 +72,9 @@ def bare_model(robot: "Robot") -> mujoco.MjModel:
     """The compiled model of a robot alone.
 
     Raises:
-        ValueError: as ``load_spec``.
+        ValueError: as ``full_spec``.
     """
-    return compile_spec(load_spec(robot), robot.mjcf)
+    return compile_spec(full_spec(robot), robot.mjcf)
 
 
 def complete(spec: mujoco.MjSpec, robot: "Robot", add: Additions) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from zfall.robots import Ball, PushPoint, Robot, bare_model, load_spec
+from zfall.robots import Ball, PushPoint, Robot, bare_model, full_spec
 from zfall.robots.declared import check_declared
 from zfall.robots.servos import Servo
 from zfall.simulation.look import dress
@@ -80,7 +80,7 @@ def model_spec(
             another than the robot declares, a push point names a link that does not exist, a joint
             has no servo, or a servo lacks a value.
     """
-    spec = load_spec(robot)
+    spec = full_spec(robot)
     if look:  # before it is compiled, which takes out what is left out
         spec.compiler.discardvisual = False
     spec.option.timestep = physics_dt
