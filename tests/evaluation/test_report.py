@@ -76,6 +76,14 @@ def test_long_tables_are_folded(folder):
     assert "<summary>96 rows</summary>" in write_report(folder).read_text()
 
 
+def test_long_heads_of_a_table_may_break_so_that_more_columns_fit(folder):
+    rows = pd.DataFrame({"run_name": ["a_b"], "peak_servo_temperature": [1.0]})
+    rows.to_csv(folder / "evaluation" / "planar" / "rest.csv", index=False)
+    page = write_report(folder).read_text()
+    assert "<th>peak_<wbr>servo_<wbr>temperature</th>" in page
+    assert "<td>a_b</td>" in page
+
+
 def test_overrides_of_a_run_are_shown_as_they_stand(folder, monkeypatch):
     monkeypatch.setenv("SECRET", "hush")
     (folder / ".hydra").mkdir(exist_ok=True)

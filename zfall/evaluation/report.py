@@ -3,6 +3,7 @@
 import base64
 import json
 import platform
+import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -266,8 +267,9 @@ def _reproduction(folder: Path) -> Section:
 def _html(rows: pd.DataFrame) -> str:
     """A table; a long one behind a fold."""
     table = rows.to_html(index=False, border=0, float_format=lambda x: f"{x:.3g}", na_rep="-")
+    table = re.sub("<th>[^<]*</th>", lambda head: head[0].replace("_", "_<wbr>"), table)
     if len(rows) <= LONG:
-        return str(table)
+        return table
     return f"<details><summary>{len(rows)} rows</summary>{table}</details>"
 
 

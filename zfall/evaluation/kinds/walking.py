@@ -102,9 +102,8 @@ class Walking:
     def write(self, result: Result, folder: Path) -> Written:
         """Means by command, as a table."""
         rows = command_table(result.trials)
-        return Written(
-            write_table(folder, "commands", rows), [Sheet(rows, file=str(folder / "commands.csv"))]
-        )
+        shown = Sheet(rows, file=str(folder / "commands.csv"))
+        return Written(write_table(folder, "commands", rows), [shown])
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
         """Nothing besides ``comparison.csv``."""
