@@ -10,9 +10,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import remove_if_empty, shown_path
-from zfall.errors import SPOKEN
+from zfall.errors import SPOKEN, object_at
 from zfall.trust import trusting
-from zfall.values import Count, FractionAboveZero, Positive, Seed
+from zfall.values import Count, FractionAboveZero, Name, Positive, Seed
 
 from .shell import (
     Changes,
@@ -20,8 +20,8 @@ from .shell import (
     Run,
     check_recipe,
     choice,
+    loading,
     one_line_errors,
-    servo_change,
     start,
 )
 
@@ -43,6 +43,7 @@ class Keys(TypedDict):
     video: bool
     filmed: Count
     slow: FractionAboveZero
+    measures: Sequence[Name]
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -61,15 +62,13 @@ def main(cfg: DictConfig) -> None:
         from zfall.envs.tables import keep
         from zfall.evaluation.battery import BLOCK
         from zfall.evaluation.candidate import load_candidate
-        from zfall.evaluation.play import side_pushes, walk
-        from zfall.evaluation.video import film, frame
+        from zfall.evaluation.play import film_of, side_pushes, walk
         from zfall.modules.actors import recurrent_keys
 
         console = Console()
         check_values(cfg)
-        given = {"task": cfg.env} if choice("env") else {}
-        change = [*servo_change(), *cfg.change]
-        player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=change, **given)
+        followers = [object_at(path, "measures") for path in cfg.measures]
+        player = load_candidate(cfg.run, **loading(cfg))
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         world = {"num_envs": worlds, "powered": player.servos}
@@ -93,6 +92,7 @@ def main(cfg: DictConfig) -> None:
         actor,
         cfg.seconds,
         filmed=cfg.filmed,
+        followers=followers,
         follow=lambda steps, total: track(
             steps, "playing", total=total, console=console, transient=True
         ),
@@ -106,19 +106,13 @@ def main(cfg: DictConfig) -> None:
     for line in played.lines():
         console.print(line)
     if cfg.video:
-        base, rows = env.base_env, {player.label: played.states}
-        columns = [f"world {i}" for i in range(played.states.shape[1])]
-        path = folder / "play.mp4"
         try:
-            film(
-                base.camera.model,
-                rows,
-                columns,
-                played.forces,
-                path,
-                dt=frame(base),
+            film_of(
+                played,
+                env.base_env,
+                player.label,
+                folder / "play.mp4",
                 slow=cfg.slow,
-                outcomes={player.label: played.outcomes},
                 follow=lambda frames, total: track(
                     frames, "filming", total=total, console=console, transient=True
                 ),

@@ -60,7 +60,8 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.definitions import battery_of
         from zfall.evaluation.run import trials_of
         from zfall.evaluation.sweep import sweep_table, widened
-        from zfall.evaluation.writers import markdown, write_table
+        from zfall.evaluation.writers import write_table
+        from zfall.terminal import Sheet, print_sheet
 
         console = Console()
         options = {key: cfg[key] for key in ("starts", "impulses") if cfg[key] is not None}
@@ -93,7 +94,7 @@ def main(cfg: DictConfig) -> None:
     rows = sweep_table(first, found)
     written = write_table(folder, "sweep", rows)
     console.print(f"{cfg.run}, {cfg.battery.name}: share recovered by width of randomisation")
-    console.print(markdown(rows), markup=False, soft_wrap=True)
+    print_sheet(Sheet(rows, file=str(folder / "sweep.csv")), console)
     console.print(f"wrote {shown_path(folder)}/{', '.join(written)}", soft_wrap=True)
 
 

@@ -6,6 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from tests.block import block_robot
+from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.tables import keep
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import battery_env, play, run_battery, trial_parameters
@@ -199,3 +201,10 @@ def test_payload_battery_weighs_what_it_says(compose_config):
     weight = last["feet_force"][..., 2].sum(1).numpy()[: len(trials)]
     expected = 9.81 * (3.3494 * table["mass_factor"] + table["load_kg"])
     np.testing.assert_allclose(weight, expected, rtol=0.01)
+
+
+def test_a_load_needs_a_chest_to_lie_on(tmp_path):
+    env = HumanoidEnv(num_envs=1, control_dt=0.04, robot=block_robot(tmp_path))
+    trials = pd.DataFrame({"seed": [0], "trial": [0]})
+    with pytest.raises(ValueError, match="battery.load must have a push point chest .* block has"):
+        trial_parameters(load_battery("planar_payload"), trials, env)

@@ -2,6 +2,7 @@
 
 import html
 import json
+import re
 import shlex
 
 import pandas as pd
@@ -374,3 +375,32 @@ def test_a_battery_can_be_run_with_other_servos(tmp_path):
     assert done.returncode == 1
     assert "servo/mine" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_the_line_of_a_lost_trial_in_the_report_repeats_it(trained, monkeypatch):
+    """I = 2 fells whoever is pushed; alone the trial has the same outcome, to the last digit."""
+    given = [
+        "battery=planar",
+        "starts=1",
+        "directions=2",
+        "impulses=[2.0]",
+        "point=pelvis",
+        "end_time=3.6",
+    ]
+    done = run("evaluate", f"run={trained}", *given, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    page = html.unescape((trained / "report.html").read_text())
+    lines = [line for line in re.findall(r"<code>([^<]*)</code>", page) if "impulses=[2.0]" in line]
+    assert len(lines) >= 2
+    words = shlex.split(lines[-1])
+    assert words[1:3] == ["-m", "recipes.evaluate"]
+    assert words[-1] == "video=true"
+    again = run("evaluate", *words[3:-1])  # a film needs a graphics card
+    assert again.returncode == 0, again.stderr
+    setting = "planar_point-pelvis_directions-2_impulses-2.0_starts-1_end_time-3.6"
+    trials = pd.read_csv(trained / "evaluation" / setting / "trials.csv").set_index("trial")
+    row = trials.loc[int(words[-2].removeprefix("trial="))]
+    said = dict(re.findall(r"^  (\S+): (\S+)$", again.stdout, re.MULTILINE))
+    assert said["recovered"] == "False"
+    for key in ("time_to_fall_s", "peak_base_acceleration", "peak_tilt", "direction_rad"):
+        assert said[key] == f"{row[key]:.4g}", key

@@ -13,10 +13,12 @@ from types import FrameType
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import TextColumn
+from rich.table import Column
 
 from zfall import checkpoint
 from zfall.configs import compose_config
+from zfall.terminal import Shortened, progress_bar
 from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
@@ -140,7 +142,13 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total, every = number_of_updates(learner), (cfg.showcase or {}).get("every")
     looks = range(every, total, every) if every else ()
-    with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
+    counted = TextColumn("{task.completed}/{task.total}", table_column=Column(no_wrap=True))
+    columns = (counted, Shortened("{task.fields[note]}"))
+    with (
+        progress_bar(console, *columns) as bar,
+        garbage_collector_of_new_things(),
+        first_ctrl_c() as stop,
+    ):
         task = bar.add_task(
             run.stage.name or "train", total=total, completed=learner.updates, note=""
         )
@@ -162,9 +170,9 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
                     look(learner)
             seconds = times[-1] - times[0]
             note = (
-                f"{learner.frames / 1e6:.2f} M frames, {learner.frames_per_batch / seconds:.0f}/s, "
                 f"return {run.last['episode_return']:.1f}, "
-                f"episode {run.last['episode_seconds']:.1f} s"
+                f"episode {run.last['episode_seconds']:.1f} s, "
+                f"{learner.frames_per_batch / seconds:.0f}/s, {learner.frames / 1e6:.2f} M frames"
             )
             bar.update(task, completed=learner.updates, note=note)
             if not console.is_terminal and learner.updates % 10 == 0:
@@ -204,17 +212,3 @@ def garbage_collector_of_new_things() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-def progress_bar(console: Console) -> Progress:
-    """Updates, speed, return, episode length and time left."""
-    return Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.completed}/{task.total}"),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )

@@ -1,6 +1,7 @@
 """The folder of a training run, and the files in it."""
 
 import errno
+import json
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,7 @@ from zfall.training.ranks import ALONE, Ranks
 from zfall.training.rows import append_row, keep_rows
 from zfall.training.stages import begin_stage, checkpoint_of_stage, stages_of, written_out
 from zfall.trust import targets_of, trusting
+from zfall.versions import versions
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
@@ -87,10 +89,14 @@ def full_disk_named(folder: Path) -> Iterator[None]:
 
 
 def write_config(cfg: DictConfig, overrides: Sequence[str], folder: Path) -> None:
-    """Writes what hydra itself would write before it is known whether the run is refused."""
+    """Writes what hydra itself would write before it is known whether the run is refused.
+
+    And, next to it, which code the run is of.
+    """
     (folder / ".hydra").mkdir(parents=True, exist_ok=True)
     OmegaConf.save(cfg, folder / ".hydra" / "config.yaml")
     OmegaConf.save(OmegaConf.create(list(overrides)), folder / ".hydra" / "overrides.yaml")
+    (folder / ".hydra" / "versions.json").write_text(json.dumps(versions(), indent=2))
 
 
 def check_version(state: dict[str, Any], folder: Path) -> None:

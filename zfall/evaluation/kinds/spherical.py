@@ -17,7 +17,8 @@ from zfall.evaluation.plans import Pushes, cells, numbered, pushes_along
 from zfall.evaluation.plots import withstood_map
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head, withstood_table
-from zfall.evaluation.writers import Written, markdown, write_figures, write_table
+from zfall.evaluation.writers import Written, write_figures, write_table
+from zfall.terminal import Sheet
 
 TICK = 0.04  # at which it is drawn whether a push begins [s]
 
@@ -81,7 +82,10 @@ class Spherical:
             folder, "withstood", lambda path: withstood_map(result.trials, path, title=title)
         )
         rows = pd.DataFrame(result.summary["withstood"])
-        return Written(files + write_table(folder, "withstood", rows), [markdown(rows)])
+        return Written(
+            files + write_table(folder, "withstood", rows),
+            [Sheet(rows, file=str(folder / "withstood.csv"))],
+        )
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
         """Nothing besides ``comparison.csv``."""

@@ -17,7 +17,8 @@ from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, numbered, pushes_along
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head
-from zfall.evaluation.writers import Written, markdown, write_table
+from zfall.evaluation.writers import Written, write_table
+from zfall.terminal import Sheet
 
 GIVEN = ("vx", "vy", "yaw")  # what a battery's commands give of a command
 ERRORS = ("velocity_error", "yaw_rate_error", "heading_error")
@@ -101,7 +102,8 @@ class Walking:
     def write(self, result: Result, folder: Path) -> Written:
         """Means by command, as a table."""
         rows = command_table(result.trials)
-        return Written(write_table(folder, "commands", rows), [markdown(rows)])
+        shown = Sheet(rows, file=str(folder / "commands.csv"))
+        return Written(write_table(folder, "commands", rows), [shown])
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
         """Nothing besides ``comparison.csv``."""

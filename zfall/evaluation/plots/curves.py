@@ -59,11 +59,16 @@ def learning_curves(metrics: pd.DataFrame | Mapping[str, pd.DataFrame], path: Pa
 def _smoothed(axes: Any, rows: pd.DataFrame, key: str, name: str, look: tuple[str, str]) -> None:
     """A column over the frames: its running mean, and the values faint behind it."""
     frames, (style, color) = rows["frames"] / 1e6, look
-    window = max(1, len(rows) // 30)
-    mean = rows[key].rolling(window, center=True, min_periods=1).mean()
+    mean = running_mean(rows[key])
     axes.plot(frames, rows[key], lw=0.7, color=color, alpha=0.3)
     every = max(1, len(rows) // 8)
     axes.plot(frames, mean, style, lw=1.5, ms=4, markevery=every, color=color, label=name)
+
+
+def running_mean(values: pd.Series) -> pd.Series:
+    """Means over about a thirtieth of all values."""
+    window = max(1, len(values) // 30)
+    return values.rolling(window, center=True, min_periods=1).mean()
 
 
 def learning_bands(
