@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
 import hydra
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
@@ -22,10 +21,9 @@ from zfall.values import Count, FractionAboveZero, Name, NotNegative, Positive, 
 from .shell import Changes, Run, check_recipe, one_line_errors, start
 
 if TYPE_CHECKING:
-    from zfall.deployment import Settings, SimulatedBus
+    from zfall.deployment import Settings
     from zfall.policies.exported import ExportedPolicy
 
-SIMULATED = {"twin": "twin", "nominal": "planar"}  # buses, and the batteries whose world they are
 Byte = Annotated[int, Rule("be 0 to 254", lambda x: 0 <= x <= 254)]
 Forces = Annotated[Sequence[float], Rule("be two forces", lambda x: len(x) == 2)]
 
@@ -40,7 +38,7 @@ class SettingsKeys(TypedDict):
     settle: Positive
     watchdog: Positive
     margin: NotNegative
-    hottest: Positive
+    hottest: Positive | None
     stop: Literal["hold", "limp"]
 
 
@@ -83,8 +81,8 @@ def main(cfg: DictConfig) -> None:
     log = Log(output / "drive.csv", policy.about["joints"])
     try:
         drive(policy, bus, seconds=cfg.seconds, log=log, settings=settings)
-    except Stopped as stopped:
-        raise SystemExit(f"error: stopped, servos {settings.stop}: {stopped}.") from None
+    except Stopped:
+        raise SystemExit(f"error: {log.events[-1]}.") from None
     finally:
         log.close()
         bus.close()
@@ -102,31 +100,10 @@ def bus_of(cfg: DictConfig, policy: "ExportedPolicy") -> Any:
         from hydra.utils import instantiate
 
         return instantiate(cfg.bus, _convert_="all")
-    from zfall.deployment.simulated import pushed
+    from zfall.deployment.simulated import pushed, simulated
 
-    return pushed(simulated(cfg, policy), force=tuple(cfg.force), seed=cfg.seed, cut=cfg.cut)
-
-
-def simulated(cfg: DictConfig, policy: "ExportedPolicy", **options: Any) -> "SimulatedBus":
-    """A simulated robot.
-
-    Raises:
-        ValueError: on a bus that there is not, or that is of no battery.
-    """
-    from zfall.deployment import SimulatedBus
-    from zfall.evaluation.definitions import load_battery
-    from zfall.trust import config_of_file
-
-    if cfg.bus not in SIMULATED:
-        known = ", ".join(SIMULATED)
-        raise ValueError(
-            f"bus must be one of {known}, or a table with the _target_ of yours, got {cfg.bus}."
-        )
-    env_cfg = config_of_file(
-        yaml.safe_dump(policy.about["config"]), Path(cfg.policy) / "policy.json"
-    )
-    realtime = cfg.realtime and cfg.compare is None
-    return SimulatedBus(load_battery(SIMULATED[cfg.bus], **options), env_cfg, realtime=realtime)
+    bus = simulated(cfg.bus, policy, realtime=cfg.realtime)
+    return pushed(bus, force=tuple(cfg.force), seed=cfg.seed, cut=cfg.cut)
 
 
 def compare(cfg: DictConfig, policy: "ExportedPolicy", settings: "Settings", path: Path) -> None:
@@ -135,9 +112,11 @@ def compare(cfg: DictConfig, policy: "ExportedPolicy", settings: "Settings", pat
 
     from zfall.deployment.dry_run import agreement
     from zfall.deployment.dry_run import compare as both
+    from zfall.deployment.simulated import simulated
     from zfall.evaluation.candidate import load_candidate
 
-    bus = simulated(cfg, policy, starts=cfg.starts, impulses=list(cfg.impulses))
+    trials = {"starts": cfg.starts, "impulses": list(cfg.impulses)}
+    bus = simulated(cfg.bus, policy, realtime=False, **trials)
     own = load_candidate(cfg.compare)
     with Progress() as bar:
         line = bar.add_task("by the loop")

@@ -21,8 +21,8 @@ from .shell import (
     check_recipe,
     choice,
     given_but,
+    loading,
     one_line_errors,
-    servo_change,
     start,
 )
 
@@ -86,10 +86,8 @@ def main(cfg: DictConfig) -> None:
         names = names_of(cfg, battery)
         candidates = load_candidates(
             names,
-            task=cfg.env if choice("env") else None,
             default_task=kind_of(battery).baseline_task,
-            checkpoint=cfg.checkpoint,
-            change=[*servo_change(), *cfg.change],
+            **loading(cfg),
             keep=cfg.keep,
             memory=cfg.memory,
             world=battery.world,

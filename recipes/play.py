@@ -20,8 +20,8 @@ from .shell import (
     Run,
     check_recipe,
     choice,
+    loading,
     one_line_errors,
-    servo_change,
     start,
 )
 
@@ -62,16 +62,13 @@ def main(cfg: DictConfig) -> None:
         from zfall.envs.tables import keep
         from zfall.evaluation.battery import BLOCK
         from zfall.evaluation.candidate import load_candidate
-        from zfall.evaluation.play import side_pushes, walk
-        from zfall.evaluation.video import film, frame
+        from zfall.evaluation.play import film_of, side_pushes, walk
         from zfall.modules.actors import recurrent_keys
 
         console = Console()
         check_values(cfg)
-        given = {"task": cfg.env} if choice("env") else {}
-        change = [*servo_change(), *cfg.change]
         followers = [object_at(path, "measures") for path in cfg.measures]
-        player = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=change, **given)
+        player = load_candidate(cfg.run, **loading(cfg))
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         world = {"num_envs": worlds, "powered": player.servos}
@@ -109,19 +106,13 @@ def main(cfg: DictConfig) -> None:
     for line in played.lines():
         console.print(line)
     if cfg.video:
-        base, rows = env.base_env, {player.label: played.states}
-        columns = [f"world {i}" for i in range(played.states.shape[1])]
-        path = folder / "play.mp4"
         try:
-            film(
-                base.camera.model,
-                rows,
-                columns,
-                played.pushed,
-                path,
-                dt=frame(base),
+            film_of(
+                played,
+                env.base_env,
+                player.label,
+                folder / "play.mp4",
                 slow=cfg.slow,
-                outcomes={player.label: played.outcomes},
                 follow=lambda frames, total: track(
                     frames, "filming", total=total, console=console, transient=True
                 ),

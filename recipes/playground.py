@@ -5,8 +5,6 @@ web server can serve it, and the browser needs nothing from elsewhere.
 """
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -16,27 +14,13 @@ from omegaconf import DictConfig
 
 from zfall.commands import remove_if_empty, shown_path
 from zfall.errors import SPOKEN
+from zfall.policies.page_files import check_folder, copy_page
 from zfall.trust import trusting
 from zfall.values import Name
 
 from .shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
 
 SOURCES = Path(__file__).parents[1] / "playground"
-PAGE = ("index.html", "style.css", "js")
-VENDOR = {  # from node_modules, to vendor/
-    "@mujoco/mujoco/mujoco.js": "mujoco/mujoco.js",
-    "@mujoco/mujoco/mujoco.wasm": "mujoco/mujoco.wasm",
-    "onnxruntime-web/dist/ort.wasm.min.mjs": "onnxruntime/ort.wasm.min.mjs",
-    "onnxruntime-web/dist/ort-wasm-simd-threaded.mjs": "onnxruntime/ort-wasm-simd-threaded.mjs",
-    "onnxruntime-web/dist/ort-wasm-simd-threaded.wasm": "onnxruntime/ort-wasm-simd-threaded.wasm",
-    "three/build/three.module.js": "three/three.module.js",
-    "three/build/three.core.js": "three/three.core.js",
-    "three/examples/jsm/controls/OrbitControls.js": "three/addons/controls/OrbitControls.js",
-    "three/examples/jsm/geometries/RoundedBoxGeometry.js": (
-        "three/addons/geometries/RoundedBoxGeometry.js"
-    ),
-    "three/LICENSE": "three/LICENSE",
-}
 
 
 class Keys(TypedDict):
@@ -57,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_recipe(cfg, Keys)
         out = Path(cfg.out)
-        check_folder(out)
+        check_folder(out, SOURCES)
     with one_line_errors(), trusting(cfg.trust):
         from zfall.evaluation.battery import battery_env
         from zfall.evaluation.candidate import load_candidate
@@ -75,8 +59,7 @@ def main(cfg: DictConfig) -> None:
         robot_policy = RobotPolicy(env, policy.actor)
         about = describe(env, robot_policy, policy.env_cfg)
         check_measurable(about)
-        libraries = fetch_libraries()
-        copy_page(out, libraries)
+        copy_page(out, SOURCES)
         inputs, outputs = robot_policy.inputs, robot_policy.outputs
         export(robot_policy, out / "policy.onnx", inputs=inputs, outputs=outputs)
     standing = {"max_tilt_rad": battery.max_tilt, "min_height": battery.min_height}
@@ -88,47 +71,6 @@ def main(cfg: DictConfig) -> None:
     remove_if_empty(output)
     print(f"wrote {shown_path(out)}")
     print(f"to see it: python -m http.server --directory {shown_path(out)} 8000")
-
-
-def check_folder(out: Path) -> None:
-    """Refuses to mix the page with what it does not know, and a place without the sources."""
-    if not SOURCES.is_dir():
-        raise ValueError("playground must be built in a clone of the project: its pages are there.")
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not (out / "robot.json").exists()):
-        raise ValueError(f"out must be a new or empty folder, or one built before, got {out}.")
-
-
-def fetch_libraries() -> Path:
-    """``node_modules`` with the pinned libraries, by ``npm ci`` if they are not there.
-
-    Raises:
-        ValueError: without npm, or if it fails.
-    """
-    folder = SOURCES / "node_modules"
-    lock, done = SOURCES / "package-lock.json", folder / ".of-lock"
-    if done.exists() and done.read_text() == lock.read_text():
-        return folder
-    if shutil.which("npm") is None:
-        raise ValueError("npm must be on the PATH, for the page's libraries: install Node.js 20.")
-    command = ["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"]
-    ran = subprocess.run(command, cwd=SOURCES, capture_output=True, text=True, check=False)
-    if ran.returncode:
-        last = (ran.stderr.strip().splitlines() or ["nothing"])[-1]
-        raise ValueError(f"npm ci must fetch the page's libraries, it says: {last}")
-    done.write_text(lock.read_text())
-    return folder
-
-
-def copy_page(out: Path, libraries: Path) -> None:
-    """Puts the page and its libraries into a folder."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name in PAGE:
-        source = SOURCES / name
-        copy: Any = shutil.copytree if source.is_dir() else shutil.copy
-        copy(source, out / name, **({"dirs_exist_ok": True} if source.is_dir() else {}))
-    for name, place in VENDOR.items():
-        (out / "vendor" / place).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(libraries / name, out / "vendor" / place)
 
 
 def write_json(path: Path, content: Any) -> None:

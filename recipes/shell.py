@@ -113,6 +113,12 @@ def choice(group: str) -> str | None:
     return None if chosen in (None, "null") else str(chosen)
 
 
+def loading(cfg: DictConfig) -> dict[str, Any]:
+    """What the keys env, servo, checkpoint and change say of how candidates are loaded."""
+    task = {"task": cfg.env} if choice("env") else {}
+    return {**task, "checkpoint": cfg.checkpoint, "change": [*servo_change(), *cfg.change]}
+
+
 def given_but(*keys: str) -> list[str]:
     """What the shell gave to this recipe, folders of configs too, without these keys."""
     config = HydraConfig.get()

@@ -19,9 +19,8 @@ from .shell import (
     Checkpoint,
     Run,
     check_recipe,
-    choice,
+    loading,
     one_line_errors,
-    servo_change,
     start,
 )
 
@@ -61,10 +60,8 @@ def main(cfg: DictConfig) -> None:
         casting = Casting(
             worlds=cfg.worlds,
             seed=cfg.seed,
-            checkpoint=cfg.checkpoint,
-            change=[*servo_change(), *cfg.change],
-            task=cfg.env if choice("env") else None,
             battery=cfg.battery,
+            **loading(cfg),
         )
         viewer = Viewer(casting, cfg.run, cfg.compare, host=cfg.host, port=cfg.port)
     remove_if_empty(Path(HydraConfig.get().runtime.output_dir))  # nothing is written

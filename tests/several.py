@@ -99,6 +99,7 @@ def _train(overrides: list[str], rank: int, size: int, folder: Path) -> None:
     from recipes.shell import start
 
     os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": str(size)}
+    os.environ["LOCAL_WORLD_SIZE"] = str(size)  # so many threads as ranks that are launched
     os.environ |= {"GLOO_SOCKET_IFNAME": "lo", STORE: str(folder / "store")}
     for name, number in (("out", 1), ("err", 2)):
         os.dup2(os.open(folder / f"{rank}.{name}", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)

@@ -77,6 +77,7 @@ export class World {
       data.qpos[2] -= Math.min(...lowest);
     }
     mujoco.mj_forward(model, data);
+    this.felt = this.sensor("base_acceleration");
     this.start = at.qpos.map((place) => float32(data.qpos[place])); // commands before the first
     this.commands = []; // targets of the ticks of the control steps
     this.forgotten = 0; // of them, from the first
@@ -123,6 +124,8 @@ export class World {
     }
     mujoco.mj_step(model, data);
     this.time += this.dt;
+    if (this.substep === 0) this.felt = [0, 0, 0];
+    this.sensor("base_acceleration").forEach((x, k) => (this.felt[k] += x / this.substeps));
     if (!this.fell && this._touched()) Object.assign(this, { fell: true, fallTime: this.time });
     this.substep = (this.substep + 1) % this.substeps;
     if (this.substep === 0) this.pushes.pass();
@@ -154,6 +157,7 @@ export class World {
       case "base_angular_velocity": return Array.from(qvel.slice(3, 6));
       case "joint_position": return this.at.qpos.map((place) => qpos[place]);
       case "joint_velocity": return this.at.qvel.map((place) => qvel[place]);
+      case "base_acceleration": return Array.from(this.felt); // mean over the control step
       case "command": return [0, 0, 0, 0, 0, 0];
       case "feet_contact": return contacts.map((contact) => (contact[0] > 0 ? 1 : 0));
       case "feet_force": return contacts.flatMap((contact) => contact.slice(1, 4).map((x) => -x));

@@ -1,6 +1,7 @@
 """An exported policy drives the simulated robot, and a broken one stops it."""
 
 import json
+import sys
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,7 @@ import pytest
 
 from tests.shell import run
 from zfall.deployment import Settings, SimulatedBus, drive
-from zfall.deployment.bus import to_angle, to_steps
+from zfall.deployment.bus import PRESENT_TEMPERATURE, TORQUE_ENABLE, to_angle, to_steps
 from zfall.deployment.dry_run import compare
 from zfall.deployment.log import Log
 from zfall.deployment.loop import Stopped
@@ -17,6 +18,38 @@ from zfall.evaluation.candidate import load_candidate
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.statistics import wilson
 from zfall.policies.exported import ExportedPolicy
+
+OWN = """
+from zfall.deployment.bus import PRESENT_TEMPERATURE
+from zfall.robots import ZEROTH01
+
+class Frozen:
+    robot, joints, quantities = "zeroth01", list(ZEROTH01.joints), ["base_angular_velocity", "base_acceleration"]
+
+    def __init__(self, *, file):
+        self.time, self.file = 0.0, open(file, "w")
+
+    def now(self):
+        return self.time
+
+    def wait_until(self, time):
+        self.time = max(self.time, time)
+
+    def write(self, register, values):
+        print(register.address, *values.values(), file=self.file)
+
+    def read(self, register, joints):
+        return dict.fromkeys(joints, 30 if register is PRESENT_TEMPERATURE else 2048)
+
+    def sense(self):
+        import numpy as np
+        gyro, gravity = np.zeros(3, np.float32), np.array([0, 0, 9.81], np.float32)
+        return {"base_angular_velocity": gyro, "base_acceleration": gravity}
+
+    def close(self):
+        print("closed", file=self.file)
+        self.file.close()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +74,7 @@ def bus():
 def test_a_dry_run_passes_the_pushes_that_the_fast_path_passes(folder):
     """Six trials of battery twin, of which the fast path stands most: within its interval."""
     own = load_candidate("twin")
-    battery = load_battery("twin", starts=1, directions=3, impulses=[0.2])
+    battery = load_battery("twin", starts=1, directions=3, impulses=[0.2], end_time=5.0)
     bus = SimulatedBus(battery, own.env_cfg, realtime=False)
     table = compare(ExportedPolicy(folder), bus, own.env_cfg, own.actor)
     low, high = wilson(int(table["recovered_in_zfall"].sum()), len(table))
@@ -70,6 +103,78 @@ def test_limp_switches_the_torque_off_and_hot_servos_stop(folder, bus):
         drive(ExportedPolicy(folder), bus, seconds=1.0, log=log, settings=settings)
     assert float(bus.base.parameters.values["servo_torque_limit"].abs().max()) == 0.0
     assert len(log.events) == 1
+
+
+def test_a_limp_stop_that_fails_hides_nothing(folder, bus, monkeypatch):
+    """The servos are too hot, and then the bus is gone: both are said, the first one first."""
+    write = bus.write
+
+    def gone(register, values):
+        if register is TORQUE_ENABLE and 0 in values.values():
+            raise OSError("no such device")
+        write(register, values)
+
+    monkeypatch.setattr(bus, "write", gone)
+    log = Log(None, bus.joints)
+    settings = Settings(hottest=20.0, stop="limp", settle=0.04)
+    with pytest.raises(Stopped, match=r"at most 20; .* failed too: no such device"):
+        drive(ExportedPolicy(folder), bus, seconds=1.0, log=log, settings=settings)
+    assert log.events[0].startswith("stopped, servos not limp: ")
+
+
+def test_a_temperature_that_nobody_tells_is_unknown_and_stops_the_robot(folder, bus, monkeypatch):
+    """One servo is asked in each step, 20 in turn: the third silence of the first is question 41."""
+    read = bus.read
+    monkeypatch.setattr(
+        bus, "read", lambda what, who: {} if what is PRESENT_TEMPERATURE else read(what, who)
+    )
+    log = Log(None, bus.joints)
+    with pytest.raises(Stopped, match=f"no temperature of {bus.joints[0]} for 3 questions"):
+        drive(ExportedPolicy(folder), bus, seconds=3.0, log=log, settings=Settings(settle=0.04))
+    assert len(log.steps) == 41
+    assert "no servo answered with its temperature" in log.report(0.04)[-1]
+    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
+    log, settings = Log(None, bus.joints), Settings(settle=0.04, hottest=None)
+    drive(ExportedPolicy(folder), bus, seconds=2.0, log=log, settings=settings)
+    assert len(log.steps) == 49
+
+
+def test_a_robot_of_your_own_is_driven(folder, tmp_path, monkeypatch):
+    """Its file has the gains first and the last target at the end, at most 4095 steps each."""
+    (tmp_path / "my_robot.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    heard = tmp_path / "heard.txt"
+    done = run("drive", f"policy={folder}", f"bus={{_target_: my_robot.Frozen, file: {heard}}}",
+               "trust=[my_robot]", "seconds=0.4", "settings.settle=0.2",
+               f"hydra.run.dir={tmp_path}/out")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = heard.read_text().splitlines()
+    assert lines[-1] == "closed"
+    assert [line.split()[0] for line in lines[:4]] == ["21", "41", "85", "48"]  # 0x15, 0x29 ...
+    goals = np.array([line.split()[1:] for line in lines[4:-1] if line.startswith("42 ")], int)
+    assert goals.shape == (11, 20)  # as it stands, then ten control steps of 40 ms
+    assert (goals[0] == 2048).all()
+    assert (goals[-1] != 2048).any()
+    assert "hottest" in done.stdout
+    assert "30 degrees Celsius" in done.stdout
+    assert len(pd.read_csv(tmp_path / "out" / "drive.csv")) == 5
+
+
+def test_the_nominal_robot_measures_everything_and_is_stood_up_by_the_policy(folder):
+    own = load_candidate("twin")
+    bus = SimulatedBus(load_battery("planar"), own.env_cfg, realtime=False)
+    assert {"com_velocity", "feet_force"} <= {*bus.quantities}
+    pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
+    drive(ExportedPolicy(folder), bus, seconds=3.0, log=Log(None, bus.joints))
+    assert not bus.outcomes.table()["fell"].any()
+
+
+def test_what_is_not_installed_is_named(folder, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    done = run("drive", f"policy={folder}", f"hydra.run.dir={tmp_path}/out")
+    assert done.returncode == 1
+    assert 'needs onnxruntime: .venv/bin/pip install -e ".[export]"' in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_sensor_that_gives_no_number_stops_the_robot(folder, bus, monkeypatch):

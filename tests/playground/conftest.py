@@ -33,22 +33,38 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of the built page, served as plain files."""
+def build_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., str]]:
+    """Builds the page of a policy, once, and serves it as plain files; gives its address."""
     if not (SOURCES / "node_modules" / ".of-lock").exists():
         pytest.skip("needs the page's libraries: make playground")
     pytest.importorskip("onnxscript")
-    folder = tmp_path_factory.mktemp("page")
-    done = run("playground", f"out={folder}", f"hydra.run.dir={folder.parent}/run")
-    assert done.returncode == 0, done.stderr
-    command = [sys.executable, "-u", "-m", "http.server", "0", "--directory", str(folder)]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as server:
+    servers: dict[tuple[str, ...], tuple[subprocess.Popen[str], str]] = {}
+
+    def build(*words: str) -> str:
+        if words in servers:
+            return servers[words][1]
+        folder = tmp_path_factory.mktemp("page")
+        done = run("playground", f"out={folder}", *words, f"hydra.run.dir={folder.parent}/run")
+        assert done.returncode == 0, done.stderr
+        command = [sys.executable, "-u", "-m", "http.server", "0", "--directory", str(folder)]
+        server = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
         assert server.stdout is not None
         port = server.stdout.readline().split(" port ")[1].split()[0]
-        yield f"http://localhost:{port}/"
-        server.terminate()
+        servers[words] = server, f"http://localhost:{port}/"
+        return servers[words][1]
+
+    yield build
+    for server, _ in servers.values():
+        with server:
+            server.terminate()
+
+
+@pytest.fixture(scope="module")
+def site(build_site: Callable[..., str]) -> str:
+    """Address of the page as it is built without options."""
+    return build_site()
 
 
 @pytest.fixture
@@ -56,7 +72,9 @@ def open_page(browser: Any, site: str) -> Iterator[Callable[..., Any]]:
     """Opens the page; what its console says is in ``said``, the addresses it asks in ``asked``."""
     pages: list[Any] = []
 
-    def open_at(width: int = 640, before: Callable[[Any], None] = lambda page: None) -> Any:
+    def open_at(
+        width: int = 640, before: Callable[[Any], None] = lambda page: None, url: str = site
+    ) -> Any:
         page = browser.new_page(viewport={"width": width, "height": 480})
         pages.append(page)
         page.said, page.asked = [], []
@@ -65,7 +83,7 @@ def open_page(browser: Any, site: str) -> Iterator[Callable[..., Any]]:
         page.on("response", lambda answer: page.asked.append((answer.url, answer.status)))
         page.set_default_timeout(120_000)
         before(page)
-        page.goto(site)
+        page.goto(url)
         return page
 
     yield open_at

@@ -40,7 +40,7 @@ def test_nothing_is_wider_than_the_screen(open_page, width):
 
 @pytest.mark.parametrize("switched", [False, True], ids=["nominal", "switched"])
 def test_it_stands_steps_and_falls_as_in_python(open_page, compose_config, switched):
-    """Two seconds at rest to 1e-4, and the outcomes of 20 pushes of I = 0.5."""
+    """Its estimators are part of the network. Two seconds at rest to 1e-4, and 20 pushes."""
     change = list(compose_config("out=here", recipe="playground").change)
     policy, twin = load_candidate("twin", checkpoint="last", change=change), {}
     if switched:
@@ -48,7 +48,27 @@ def test_it_stands_steps_and_falls_as_in_python(open_page, compose_config, switc
         policy.env_cfg.transforms.physics = HARDER
         policy = policy.keep(["latency", "physics"])
         twin = {"latency": LATE, "torque": WEAK, "friction": SLIPPERY}
-    battery = load_battery("planar", impulses=[0.5], starts=1, directions=20)
+    fell = pushed_in_both(open_page(), policy, 20, twin)
+    if switched:  # else all are recovered from
+        assert 3 <= fell <= 17
+
+
+@pytest.mark.parametrize(
+    "directions", [4, pytest.param(20, marks=pytest.mark.slow)], ids=["few", "all"]
+)
+@pytest.mark.parametrize("name", ["best", "best_gru"])
+def test_other_policies_act_there_as_in_python(open_page, build_site, name, directions):
+    """One that reads forces of the feet, and one with hidden states."""
+    page = open_page(url=build_site(f"run={name}", "change=[]"))
+    pushed_in_both(page, load_candidate(name), directions, {})
+
+
+def pushed_in_both(page, policy, directions, twin):
+    """Pushes of I = 0.5 by page and by Python, of which at least 19 of 20 end the same way.
+
+    Returns how many of them Python's robot fell from.
+    """
+    battery = load_battery("planar", impulses=[0.5], starts=1, directions=directions)
     env, _, _ = battery_env(battery, policy.env_cfg, 1)
     trials = plan_trials(battery, env.base_env.robot.impulse_unit, 0)
     pushed = trials[trials["impulse"] > 0]
@@ -62,7 +82,6 @@ def test_it_stands_steps_and_falls_as_in_python(open_page, compose_config, switc
         watch=lambda base, td: states.append(base.simulation.qpos[0].numpy().copy()),
     )
     angles = start_positions(battery, pushed, env.base_env)
-    page = open_page()
     page.evaluate("zfall.ready")
     theirs = []
     for start, heading in zip(angles.tolist(), pushed["direction_rad"].tolist(), strict=True):
@@ -75,29 +94,50 @@ def test_it_stands_steps_and_falls_as_in_python(open_page, compose_config, switc
     assert np.abs(there - here).max() < 1e-4
     outcomes = [(each["recovered"], each["fell"]) for each in theirs]
     expected = list(zip(ours["recovered"].tolist(), ours["fell"].tolist(), strict=True))
-    assert sum(a == b for a, b in zip(outcomes, expected, strict=True)) >= 19
-    if switched:  # else all are recovered from
-        assert 3 <= ours["fell"].sum() <= 17
-    assert sum(each["clock_s"] for each in theirs) < 20 * battery.end_time  # faster than life
+    same = sum(a == b for a, b in zip(outcomes, expected, strict=True))
+    assert same >= 0.95 * len(expected)
+    seconds = len(expected) * battery.end_time
+    assert sum(each["clock_s"] for each in theirs) < seconds  # faster than life
+    return int(ours["fell"].sum())
 
 
 def test_a_drag_on_the_robot_pushes_it_and_one_next_to_it_does_not(open_page):
-    """200 px are I = 1, from the right of the screen to its left."""
+    """200 px are I = 1, from the left of the screen to its right, at the place that is touched."""
     page = open_page()
     page.evaluate("zfall.ready")
     box = page.locator("#view").bounding_box()
+    right = page.evaluate("zfall.page.scene.level(1, 0)")
+    page.evaluate("""() => {
+        zfall.pushed = [];
+        const { world } = zfall.page, push = world.push.bind(world);
+        world.push = (given) => { zfall.pushed.push(given); push(given); };
+    }""")
     middle = (box["x"] + box["width"] / 2, box["y"] + 0.45 * box["height"])
-    for x, pushes in ((box["x"] + 10, 0), (middle[0], 1)):
+    for x, length in ((box["x"] + 10, 5), (middle[0], 60)):
         page.mouse.move(x, middle[1])
         page.mouse.down()
-        page.mouse.move(x + (60 if pushes else 5), middle[1], steps=3)
+        page.mouse.move(x + length, middle[1], steps=3)
         page.mouse.up()
-        assert page.evaluate("zfall.page.game.open.length") == pushes
-    assert page.evaluate("zfall.page.game.open[0].impulse") == pytest.approx(0.3)
-    force = page.evaluate("zfall.page.world.pushes.list.map(push => push.force)")
-    right = page.evaluate("zfall.page.scene.level(1, 0)")
-    for each in force:  # none, if it is over by now
-        assert each == pytest.approx((0.3 * 49.2 * np.array(right)).tolist(), rel=2e-3, abs=1e-6)
+    (push,) = page.evaluate("zfall.pushed")
+    assert push["impulse"] == pytest.approx(0.3)
+    assert push["heading"] == pytest.approx(right, abs=0.01)
+    assert page.evaluate("zfall.page.world.model.body_mass")[push["body"]] > 0
+    assert np.linalg.norm(push["place"][:2]) < 0.2
+    assert 0.0 < push["place"][2] < 0.5
+    page.wait_for_function("zfall.page.game.row === 1")  # two seconds later it counts
+
+
+def test_a_push_is_a_force_along_its_direction_of_its_impulse(open_page):
+    """J = I m sqrt(g h0), that is 4.92 N s for I = 1, over 0.1 s."""
+    page = open_page()
+    page.evaluate("zfall.ready")
+    force = page.evaluate("""async () => {
+        await zfall.page.script.stop();
+        zfall.page.world.reset();
+        zfall.page.world.push({ impulse: 0.3, heading: [0.6, 0.8, 0] });
+        return zfall.page.world.pushes.list.map(({ force }) => force);
+    }""")
+    assert force == [pytest.approx([0.3 * 49.2 * 0.6, 0.3 * 49.2 * 0.8, 0.0], rel=2e-3)]
 
 
 def test_the_force_of_a_push_gives_its_impulse_wherever_it_begins(open_page):

@@ -64,14 +64,17 @@ def test_an_evaluation_of_nothing_says_what_there_is(given):
     assert "pose_hold" in done.stderr
 
 
-def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, monkeypatch):
-    """Cut off after the first of two chunks; the rest is run, and the file is the same."""
+def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(tmp_path, monkeypatch):
+    """Cut off after the first of two chunks; the rest is run, and the file is the same.
+
+    A limp robot soon lies on the floor, with a push or without, and so soon that is known.
+    """
     from zfall.evaluation import run as library
 
-    args = [f"run={trained}", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
-            "end_time=3.6", "num_envs=64"]  # fmt: skip
+    args = ["run=limp", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
+            "end_time=3.6", "num_envs=64", f"hydra.run.dir={tmp_path}"]  # fmt: skip
     setting = "planar_point-chest_directions-3_impulses-0.1,0.3_starts-10_end_time-3.6"
-    folder = trained / "evaluation" / setting
+    folder = tmp_path / "evaluation" / setting
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes()
     write = library.write_trials

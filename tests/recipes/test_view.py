@@ -1,10 +1,13 @@
 """What `view` refuses, each in one line, before it serves anything."""
 
+import signal
 import socket
+import subprocess
+import sys
 
 import pytest
 
-from tests.shell import run
+from tests.shell import ROOT, run
 
 pytest.importorskip("viser", reason="the extra [view] is not installed")
 
@@ -42,6 +45,24 @@ def test_a_run_without_a_checkpoint_yet_is_refused(tmp_path):
     assert done.returncode == 1
     assert str(tmp_path) in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_ctrl_c_ends_it_with_one_line_and_frees_the_port(tmp_path):
+    command = [sys.executable, "-m", "recipes.view", "run=limp", "worlds=1", "port=0"]
+    command += [f"hydra.run.dir={tmp_path}/run"]
+    with subprocess.Popen(
+        command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("open http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "stopped\n")
+    port = int(line.split(":")[2].split(" ")[0])
+    with socket.socket() as again:
+        again.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        again.bind(("127.0.0.1", port))
 
 
 def test_what_is_not_installed_is_named(monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.toy import FOOT, HALF_FOOT, HINGES, MASS, toy_mjcf
-from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, load_spec
+from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, full_spec
 from zfall.robots.anatomy import hips_of
 from zfall.robots.declared import check_declared
 from zfall.robots.symmetry import find_symmetry
@@ -96,7 +96,7 @@ def test_a_joint_without_stops_has_a_range_for_its_targets(tmp_path):
 def test_what_is_added_moves_nothing(tmp_path):
     """The physics of the completed toy is that of its MJCF, whatever reads it."""
     robot = toy(tmp_path, actuator=POSITION.format(name="{name}", kp=40, gear=1))
-    spec = load_spec(robot)
+    spec = full_spec(robot)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     models = [bare_model(robot), spec.compile()]
@@ -109,6 +109,15 @@ def test_what_is_added_moves_nothing(tmp_path):
             mujoco.mj_step(model, data)
         states.append(data.qpos.copy())
     np.testing.assert_array_equal(*states)
+
+
+def test_what_is_only_seen_is_left_out_of_the_physics_and_kept_for_pictures(tmp_path):
+    shell = '<geom size="0.05" contype="0" conaffinity="0" mass="0"/>'
+    robot = toy(tmp_path, foot=FOOT + shell)
+    stepped, shown = (compile_model(robot, physics_dt=0.004, look=look) for look in (False, True))
+    assert shown.ngeom == stepped.ngeom + 2
+    assert shown.nq == stepped.nq
+    assert shown.camera("track").id >= 0
 
 
 def test_a_foot_with_a_toe_has_one_sole(tmp_path):

@@ -10,8 +10,7 @@ from tensordict import TensorDictBase
 from tests.several import config
 from zfall.training import learner as learner_module
 from zfall.training.learner import Learner
-from zfall.training.minibatches import rows_of
-from zfall.training.ranks import WholeMinibatch
+from zfall.training.minibatches import losses_of, rows_of
 from zfall.training.transfers import Transfers
 
 LOSSES = ["experiment=best", "num_envs=8", "rollout_steps=4", "caps=atalante", "symmetry=loss",
@@ -41,20 +40,21 @@ def test_copies_to_the_networks_and_back_change_nothing(kind, monkeypatch):
 
 
 @pytest.mark.parametrize("augmented", [False, True])
-def test_losses_bring_no_tensor_of_another_device_to_a_minibatch(augmented, monkeypatch):
-    """On torch's meta device, which refuses tensors of the CPU as a GPU would."""
-    more = ["symmetry=augmentation", "imitation=none"] if augmented else []
-    here = Learner(config(*LOSSES, *more))
-    data = here._with_advantages(here.collect())
-    elsewhere = Transfers("meta", copies=True)
-    monkeypatch.setattr(learner_module, "Transfers", lambda device: elsewhere)
-    monkeypatch.setattr(Learner, "begins_here", lambda self: None)  # which copies what has values
+def test_losses_bring_no_tensor_of_another_device_to_a_minibatch(augmented):
+    """On torch's meta device, which refuses tensors of the CPU as a GPU would. PPO's is TorchRL's."""
+    more = ["symmetry=augmentation"] if augmented else []
     learner = Learner(config(*LOSSES, *more))
-    share = WholeMinibatch(torch.arange(8))
-    part = elsewhere.batch_there(rows_of(data, share.rows))
-    out = learner._losses_of(*learner._prepared(part, share))
-    assert {key for key in out.keys() if key.startswith("loss_")} >= {"loss_objective"}
-    for value in out.values():
+    data = learner._with_advantages(learner.collect())
+    elsewhere, losses = Transfers("meta", copies=True), learner.losses
+    elsewhere.place([learner.actor, *losses.auxiliary.values(), losses.augmentation])
+    part = elsewhere.batch_there(rows_of(data, torch.arange(8)))
+    if augmented:
+        part = losses.augmentation(part)
+        assert part["observation"].device.type == "meta"
+    written = [losses_of(loss, part) for loss in losses.auxiliary.values()]
+    names = {key for out in written for key in out.keys()}
+    assert names >= {"loss_temporal", "loss_spatial", "loss_imitation"}
+    for value in (value for out in written for value in out.values()):
         assert value.device.type == "meta"
 
 

@@ -6,10 +6,13 @@ import time
 from collections.abc import Callable
 
 import pytest
+import torch
 
 pytest.importorskip("viser", reason="the extra [view] is not installed")
 
-from zfall.viewer.casting import Casting
+from zfall import checkpoint
+from zfall.policies.load import POLICIES
+from zfall.viewer.casting import Casting, WatchedFile
 from zfall.viewer.viewer import Viewer
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -82,6 +85,40 @@ def test_four_worlds_leave_time_for_25_frames_a_second(viewer):
     viewer.frames, viewer.busy = 0, 0.0
     wait_for(lambda: viewer.frames > 100)
     assert viewer.frames / viewer.busy >= 25
+
+
+def test_new_weights_of_a_run_take_over_while_it_is_shown(tmp_path):
+    """The ``last.pt`` of a training is written anew, as a training does: the old one is replaced."""
+    last = tmp_path / "checkpoints" / "last.pt"
+    last.parent.mkdir()
+    content = checkpoint.load(POLICIES / "best.pt")
+    checkpoint.save(last, content)
+    view = Viewer(Casting(worlds=1), str(tmp_path), port=0)
+    thread = threading.Thread(target=view.run, daemon=True)
+    thread.start()
+    try:
+        name, old = next(iter(view.robots[0].player.actor.state_dict().items()))
+        newer = {key: value + 0.5 for key, value in content["policy"].items()}
+        checkpoint.save(last, content | {"policy": newer})
+        wait_for(lambda: "weights of" in view.controls.status.content)
+        now = view.robots[0].player.actor.state_dict()[name]
+        assert torch.allclose(now, old + 0.5)
+    finally:
+        view.stop()
+        thread.join(30)
+        view.close()
+
+
+def test_a_file_is_new_once_and_may_not_be_there_yet(tmp_path):
+    path = tmp_path / "last.pt"
+    watched = WatchedFile(path)
+    assert not watched.changed()
+    path.write_text("1")
+    assert watched.changed()
+    assert not watched.changed()
+    path.unlink()
+    assert not watched.changed()
+    assert not WatchedFile(None).changed()
 
 
 def test_a_name_that_is_none_leaves_the_others_running(viewer):

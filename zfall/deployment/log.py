@@ -18,9 +18,9 @@ class Log:
 
     Columns: ``time_s``; ``late_s``, by how much the step began after its time; ``latency_s``, from
     the first reading to the targets of the first tick; ``network_s``, the network's share of it;
-    ``temperature_c`` of ``joint``, another one in each step; ``clipped``, targets that were cut
-    off at the joint limits; ``event``; and of each joint ``position/JOINT`` and ``target/JOINT``
-    [rad].
+    ``temperature_c`` of ``joint``, another one in each step, empty if it did not answer;
+    ``clipped``, targets that were cut off at the joint limits; ``event``; and of each joint
+    ``position/JOINT`` and ``target/JOINT`` [rad].
 
     Args:
         path: of the file; ``None`` keeps the figures alone.
@@ -71,15 +71,23 @@ class Log:
         time, count = column["time_s"], len(self.steps)
         rate = (count - 1) / (time[-1] - time[0]) if count > 1 else 0.0
         over = int((column["latency_s"] > control_dt).sum())
-        hottest = max(self.steps, key=lambda row: row["temperature_c"])
         return [
             f"{count} control steps at {rate:.2f} Hz, the policy's rate is {1 / control_dt:.2f} Hz",
             _line("jitter", "a step begins late by", column["late_s"]),
             _line("latency", "sensors to targets", column["latency_s"])
             + f", {over} longer than a step",
-            f"hottest {hottest['joint']}, {hottest['temperature_c']:.0f} degrees Celsius; "
-            f"{sum(row['clipped'] for row in self.steps)} targets cut off at joint limits",
+            f"{self._heat()}; {sum(row['clipped'] for row in self.steps)} targets cut off at joint "
+            "limits",
         ]
+
+    def _heat(self) -> str:
+        told = [row for row in self.steps if row["temperature_c"] is not None]
+        if not told:
+            return "no servo answered with its temperature"
+        hottest = max(told, key=lambda row: row["temperature_c"])
+        line = f"hottest {hottest['joint']}, {hottest['temperature_c']:.0f} degrees Celsius"
+        silent = len(self.steps) - len(told)
+        return line + (f", {silent} of {len(self.steps)} temperatures unknown" if silent else "")
 
 
 def _line(name: str, what: str, seconds: np.ndarray) -> str:

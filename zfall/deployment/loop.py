@@ -2,6 +2,7 @@
 
 import math
 import time as clock
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import cycle
@@ -13,9 +14,11 @@ from numpy.typing import NDArray
 from zfall.deployment import bus as registers
 from zfall.deployment.bus import Bus, to_angle, to_steps
 from zfall.deployment.log import Log
+from zfall.errors import in_one_line
 from zfall.policies.exported import ExportedPolicy
 
 RETRY = 0.005  # time after which servos that did not answer are asked again [s]
+UNREAD = 3  # temperatures of a servo in a row that may stay without an answer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +34,9 @@ class Settings:
             the policy acts [s]: its estimators begin with what the sensors say then.
         watchdog: time without an answer of a servo after which the robot is stopped [s].
         margin: by which targets stay away from the ends of the joints' ranges [rad].
-        hottest: temperature of a servo at which the robot is stopped [degree Celsius].
+        hottest: temperature of a servo at which the robot is stopped [degree Celsius], as it is
+            when a servo leaves three questions for its temperature in a row unanswered; ``None``:
+            temperatures are logged and stop nothing.
         stop: what stops it: ``hold`` leaves the servos where they were sent last, ``limp``
             switches their torque off.
     """
@@ -43,7 +48,7 @@ class Settings:
     settle: float = 1.0
     watchdog: float = 0.05
     margin: float = 0.0
-    hottest: float = 65.0
+    hottest: float | None = 65.0
     stop: Literal["hold", "limp"] = "hold"
 
 
@@ -97,7 +102,8 @@ def drive(
 
     Raises:
         Stopped: if a servo did not answer for too long, is too hot, or a sensor or a target is no
-            number; the robot has been stopped, and the log says so.
+            number; the robot has been stopped, and the log says so. Also if switching the torque
+            off failed, whatever the first error was: it names both.
         ValueError: if policy and robot do not fit, or the policy would never act.
     """
     check_fit(policy, bus)
@@ -121,6 +127,7 @@ class _Drive:
         self.reference = np.array(about["reference_rad"])
         self.answered = bus.now()  # when all servos did last
         self.watched = cycle(self.joints)  # one temperature in each step
+        self.unread: Counter[str] = Counter()  # temperatures in a row, by joint
 
     def run(self, seconds: float, over: Callable[[], bool]) -> None:
         try:
@@ -144,11 +151,31 @@ class _Drive:
                     break
             self.bus.wait_until(begin + seconds if not over() else self.bus.now())
         except (Exception, KeyboardInterrupt) as error:
+            self.halt(error)
+            raise
+
+    def halt(self, error: BaseException) -> None:
+        """Stops the robot for an error, and says so.
+
+        Raises:
+            Stopped: if the bus fails at that, too.
+        """
+        by_hand = isinstance(error, KeyboardInterrupt)
+        why = str(error) if isinstance(error, Stopped) else in_one_line(error)
+        why = "by hand" if by_hand else why or repr(error)
+        servos: str = self.settings.stop
+        failed: Exception | None = None
+        time = self.answered
+        try:
             if self.settings.stop == "limp":
                 self.write(registers.TORQUE_ENABLE, 0)
-            why = str(error) or ("by hand" if isinstance(error, KeyboardInterrupt) else repr(error))
-            self.log.event(self.bus.now(), f"stopped, servos {self.settings.stop}: {why}")
-            raise
+            time = self.bus.now()
+        except Exception as second:
+            servos, failed = "not limp", second
+            why = f"{why}; switching their torque off failed too: {in_one_line(second)}"
+        self.log.event(time, f"stopped, servos {servos}: {why}")
+        if failed is not None:
+            raise Stopped(why) from error
 
     def start(self) -> None:
         """Writes the registers that a servo forgets when it is switched off."""
@@ -206,7 +233,7 @@ class _Drive:
         self.send(targets[0])
         latency = clock.perf_counter() - began
         joint = next(self.watched)
-        heat = self.bus.read(registers.PRESENT_TEMPERATURE, [joint]).get(joint, 0)
+        heat = self.bus.read(registers.PRESENT_TEMPERATURE, [joint]).get(joint)
         row = {
             "time_s": at,
             "late_s": at - due,
@@ -217,11 +244,28 @@ class _Drive:
             "clipped": int((np.abs(targets - command) > 1e-6).sum()),
         }
         self.log.step(row, angles.tolist(), targets[0].tolist())
-        if heat >= self.settings.hottest:
-            raise Stopped(f"{joint} has {heat} degrees Celsius, at most {self.settings.hottest:g}")
+        self.check_heat(joint, heat)
         for number, target in enumerate(targets[1:], 1):
             self.bus.wait_until(due + number * self.tick)
             self.send(target)
+
+    def check_heat(self, joint: str, heat: int | None) -> None:
+        """Whether a servo is cold enough, and says so.
+
+        Raises:
+            Stopped: if it is not.
+        """
+        hottest = self.settings.hottest
+        self.unread[joint] = self.unread[joint] + 1 if heat is None else 0
+        if hottest is None:
+            return
+        if heat is not None and heat >= hottest:
+            raise Stopped(f"{joint} has {heat} degrees Celsius, at most {hottest:g}")
+        if self.unread[joint] >= UNREAD:
+            raise Stopped(
+                f"no temperature of {joint} for {UNREAD} questions; settings.hottest=null drives "
+                "without"
+            )
 
     def send(self, target: NDArray[np.floating]) -> None:
         """Sends a target to each servo ``(J,)`` [rad]."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+import yaml
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict
@@ -19,10 +20,13 @@ from zfall.deployment.bus import Register, to_angle, to_steps
 from zfall.envs.tables import robot_of
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.evaluation.battery import arrange, battery_env, begin_streams, trial_parameters
-from zfall.evaluation.definitions import Battery
+from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials
+from zfall.policies.exported import ExportedPolicy
+from zfall.trust import config_of_file
 
+WORLDS = {"twin": "twin", "nominal": "planar"}  # names of buses, and of the batteries of theirs
 IMU = ("base_angular_velocity", "base_acceleration")
 TEMPERATURE = 25  # of all servos [degree Celsius]: no thermal constants are published
 
@@ -174,6 +178,28 @@ class SimulatedBus:
 
     def close(self) -> None:
         """There is no hardware."""
+
+
+def simulated(name: str, policy: ExportedPolicy, *, realtime: bool, **options: Any) -> SimulatedBus:
+    """A simulated robot by name, of the robot that a policy was exported for.
+
+    Args:
+        name: ``twin``, or ``nominal``.
+        policy: what was exported.
+        realtime: as of the bus.
+        options: numbers of the battery to replace.
+
+    Raises:
+        ValueError: on a bus that there is not.
+    """
+    if name not in WORLDS:
+        known = ", ".join(WORLDS)
+        raise ValueError(
+            f"bus must be one of {known}, or a table with the _target_ of yours, got {name}."
+        )
+    described = yaml.safe_dump(policy.about["config"])
+    env_cfg = config_of_file(described, policy.folder / "policy.json")
+    return SimulatedBus(load_battery(WORLDS[name], **options), env_cfg, realtime=realtime)
 
 
 def pushed(

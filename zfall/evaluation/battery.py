@@ -62,7 +62,13 @@ def trial_parameters(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) -
         params["link_mass"] = factor[:, None].repeat(1, spec["link_mass"].shape[1])
     if battery.load is not None:
         params["payload"] = torch.zeros(len(trials), spec["payload"].shape[1])
-        column = list(env.parameters.push_points).index("chest")
+        points = list(env.parameters.push_points)
+        if "chest" not in points:
+            raise ValueError(
+                f"battery.load must have a push point chest to lie on, {env.robot.name} has "
+                f"{', '.join(points)}: declare it in push_points."
+            )
+        column = points.index("chest")
         params["payload"][:, column] = torch.tensor(between(battery.load, drawn[:, 1])).float()
     return params
 

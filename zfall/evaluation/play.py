@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
+from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import play
 from zfall.evaluation.captions import Pushed, PushLog
 from zfall.evaluation.endings import Endings
 from zfall.evaluation.followers import Follower
-from zfall.evaluation.video import Outcomes, frame
+from zfall.evaluation.video import Outcomes, film, frame
 
 FIRST, APART, DURATION = 1.0, 4.0, 0.1  # when pushes begin, and their length [s]
 UNITS = {"seconds": "s", "forward_velocity": "m/s", "distance": "m"}
@@ -143,3 +145,38 @@ def walk(
     }
     outcomes = [endings.said(world, seconds) for world in range(filmed)]
     return Played(figures, np.stack(states), log.frames(ends), outcomes)
+
+
+def film_of(
+    played: Played,
+    base: HumanoidEnv,
+    label: str,
+    path: Path,
+    *,
+    slow: float = 1.0,
+    follow: Callable[[Iterable[int], int], Iterable[int]] = lambda frames, total: frames,
+) -> None:
+    """Films what was played, one column per world.
+
+    Args:
+        played: by ``walk``.
+        base: the env in which.
+        label: of who played.
+        path: of the mp4.
+        slow: 0.25 shows it four times as slow.
+        follow: passes the frames on, given their number, as a progress bar does.
+
+    Raises:
+        RuntimeError: if no OpenGL is to be had.
+    """
+    film(
+        base.camera.model,
+        {label: played.states},
+        [f"world {i}" for i in range(played.states.shape[1])],
+        played.pushed,
+        path,
+        dt=frame(base),
+        slow=slow,
+        outcomes={label: played.outcomes},
+        follow=follow,
+    )

@@ -20,6 +20,7 @@ class ExportedPolicy:
         folder: of both files.
 
     Attributes:
+        folder: of both files.
         about: content of ``policy.json``.
         states: what it keeps from step to step, by name.
 
@@ -29,7 +30,7 @@ class ExportedPolicy:
     """
 
     def __init__(self, folder: Path):
-        self.about = _description(folder)
+        self.folder, self.about = folder, _description(folder)
         try:
             import onnxruntime  # an extra of the package
         except ModuleNotFoundError:

@@ -18,7 +18,7 @@ from zfall.simulation.model import (
 # What playground/world.js can measure.
 MEASURABLE = (
     *("projected_gravity", "base_position", "base_orientation", "base_linear_velocity"),
-    *("base_angular_velocity", "joint_position", "joint_velocity"),
+    *("base_angular_velocity", "base_acceleration", "joint_position", "joint_velocity"),
     *("com_position", "com_velocity", "angular_momentum", "feet_position", "feet_velocity"),
     *("feet_orientation", "feet_force", "feet_contact", "imu_orientation", "command"),
 )

@@ -16,6 +16,29 @@ from zfall.viewer.player import Player
 NOBODY = "nobody"  # to compare with
 
 
+class WatchedFile:
+    """Says whether a file has been written since it was looked at before.
+
+    Args:
+        path: of the file, which may not be there yet; ``None``: there is none to watch.
+    """
+
+    def __init__(self, path: Path | None):
+        self._path = path
+        self._written = self._time()
+
+    def changed(self) -> bool:
+        """Whether it is newer than at the last call, or than when it began to be watched."""
+        before, self._written = self._written, self._time() or self._written
+        return self._written != before
+
+    def _time(self) -> int | None:
+        try:
+            return None if self._path is None else self._path.stat().st_mtime_ns
+        except FileNotFoundError:
+            return None
+
+
 @dataclass(frozen=True)
 class Casting:
     """How candidates are loaded.

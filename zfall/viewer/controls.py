@@ -100,7 +100,7 @@ class Controls:
         with gui.add_folder("Policy"):
             self.run = gui.add_dropdown("run", tuple(choices), run)
             self.compare = gui.add_dropdown("compare", tuple(others), compare)
-            self.reload = gui.add_checkbox("follow its file", True)
+            self.reload = gui.add_checkbox("take new weights", True)
         with gui.add_folder("World", expand_by_default=False):
             self.latency = gui.add_slider("latency [ms]", 0, 1000 * LONGEST_DELAY, 4, 0)
             self.voltage = gui.add_slider("voltage [%]", 80, 120, 1, 100)
@@ -110,6 +110,7 @@ class Controls:
             self.nominal = gui.add_button("as it was")
         with gui.add_folder("Signals"):
             self.watched = gui.add_dropdown("robot", ("",))
+            self.follow = gui.add_checkbox("follow it", True)
             self.plotted = gui.add_checkbox("plots", True)
             self.readout = gui.add_markdown("")
         self._worlds: tuple[Any, ...] = (

@@ -1,15 +1,18 @@
-"""What the browser shows: floor, robots with labels, arrows of pushes."""
+"""What the browser shows of a robot: its bodies, a label, arrows of pushes."""
+
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
+import trimesh
 import viser
 from numpy.typing import NDArray
 
-from zfall.viewer.geometry import Poses, along, arrow, body_meshes
+from zfall.simulation.model import push_point_bodies
+from zfall.viewer.geometry import Poses, along, arrow
 
 Array = NDArray[np.float64]
 
-SPACING = 0.7  # between two worlds [m]
 LENGTH_PER_NEWTON = 0.01  # of an arrow [m/N], as in the films
 LONGEST_ARROW = 0.6  # [m]
 ABOVE = 0.3  # height of a label above the base [m]
@@ -21,11 +24,15 @@ class RobotView:
 
     Args:
         server: of viser.
-        name: of its node in the scene, ``/robots/0``.
+        name: of its node in the scene, ``/world/robots/0``.
         model: the compiled model.
+        meshes: what its bodies look like, as ``body_meshes`` gives them.
         offset: where the origin of its world is shown ``(3,)`` [m].
         label: text above it.
-        compared: whether it is tinted as one that the policy is compared with.
+
+    Attributes:
+        place: where it is in its own world ``(2,)`` [m].
+        text: above it.
     """
 
     def __init__(
@@ -33,13 +40,11 @@ class RobotView:
         server: viser.ViserServer,
         name: str,
         model: mujoco.MjModel,
+        meshes: Mapping[int, trimesh.Trimesh],
         offset: Array,
         label: str,
-        *,
-        compared: bool = False,
     ):
         self._server, self._name, self._offset = server, name, offset
-        meshes = body_meshes(model, COMPARED if compared else None)
         self._poses = Poses(model, list(meshes))
         self._nodes = [
             server.scene.add_mesh_trimesh(f"{name}/{model.body(body).name}", mesh)
@@ -49,11 +54,12 @@ class RobotView:
         self._points: dict[str, Poses] = {}
         self._arrow: viser.SceneNodeHandle | None = None
         self._model, self._pushed = model, ""
-        self.text = label
+        self.place, self.text = np.zeros(2), label
 
     def show(self, qpos: Array) -> None:
         """Moves the bodies to where they are in a state ``(nq,)``."""
         positions, quaternions = self._poses(qpos)
+        self.place = positions[0, :2].copy()
         for node, position, quaternion in zip(self._nodes, positions, quaternions, strict=True):
             node.position, node.wxyz = position + self._offset, quaternion
         self._label.position = positions[0] + self._offset + np.array([0.0, 0.0, ABOVE])
@@ -66,19 +72,18 @@ class RobotView:
         if text != self.text:
             self._label.text = self.text = text
 
-    def show_push(self, point: str, body: int, force: Array) -> None:
+    def show_push(self, point: str, force: Array) -> None:
         """Shows an arrow whose tip is at a push point, until ``hide_push``.
 
         Args:
             point: its name.
-            body: its number among the bodies of the model.
             force: ``(3,)`` [N; world].
         """
         self.hide_push()
         newtons = float(np.linalg.norm(force))
         if newtons == 0.0:
             return
-        self._points.setdefault(point, Poses(self._model, [body]))
+        self._points.setdefault(point, Poses(self._model, [push_point_bodies(self._model)[point]]))
         self._pushed = point
         self._arrow = self._server.scene.add_mesh_trimesh(
             f"{self._name}/push",
@@ -96,29 +101,3 @@ class RobotView:
     def pushed(self) -> bool:
         """Whether an arrow is shown."""
         return self._arrow is not None
-
-
-def offsets(count: int) -> Array:
-    """Where worlds are shown ``(count, 3)`` [m]: in a row along y.
-
-    The first is at the left for who looks at their faces.
-    """
-    places = np.zeros((count, 3))
-    places[:, 1] = SPACING * (np.arange(count) - (count - 1) / 2)
-    return places
-
-
-def furnish(server: viser.ViserServer, count: int) -> None:
-    """Puts up the floor and lets every new browser look at ``count`` robots from the front."""
-    scene = server.scene
-    scene.set_up_direction("+z")
-    scene.add_grid(
-        "/floor", width=12.0, height=12.0, cell_size=0.25, section_size=1.0,
-        cell_color=(215, 218, 222), section_color=(170, 175, 182),
-    )  # fmt: skip
-    away = max(1.5, 0.45 * SPACING * count + 0.4)
-
-    @server.on_client_connect
-    def look(client: viser.ClientHandle) -> None:
-        client.camera.position = (away, 0.0, 0.25 + 0.3 * away)
-        client.camera.look_at = (0.0, 0.0, 0.2)

@@ -4,22 +4,21 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from dataclasses import dataclass
-from io import StringIO
 from math import ceil
 
 import numpy as np
 import torch
-import viser
 
 from zfall.errors import in_one_line
-from zfall.viewer.casting import NOBODY, Casting
+from zfall.viewer.casting import NOBODY, Casting, WatchedFile
 from zfall.viewer.controls import Controls, Push, Told
+from zfall.viewer.geometry import body_meshes
+from zfall.viewer.page import Page
 from zfall.viewer.player import Player
-from zfall.viewer.ports import free_port
-from zfall.viewer.scene import RobotView, furnish, offsets
+from zfall.viewer.scene import COMPARED, RobotView
 from zfall.viewer.signals import Plots, mode_of, read_signals
+from zfall.viewer.stage import ROOT, Stage, offsets
 
 FRAMES = 30.0  # a second that are shown at least, if the machine can
 ARROW_SECONDS = 1.0  # for which a push stays visible
@@ -75,13 +74,13 @@ class Viewer:
         self._asked: queue.Queue[Callable[[], None]] = queue.Queue()
         self._stopped = threading.Event()
         self.frames, self.busy = 0, 0.0
+        self._file = WatchedFile(casting.file_of(run))
         self._players = casting.players(run, compare)
         first = self._players[0]
-        with redirect_stdout(StringIO()):  # it announces itself, verbose or not
-            self.server = viser.ViserServer(host, free_port(host, port), verbose=False)
-        self.port = self.server.get_port()
+        self._page = Page(host, port)
+        self.server, self.port = self._page.server, self._page.port
         self.server.gui.configure_theme(control_layout="fixed", control_width="medium")
-        furnish(self.server, casting.worlds)
+        self.stage = Stage(self.server, casting.worlds)
         self.controls = Controls(
             self.server,
             Told(
@@ -137,8 +136,8 @@ class Viewer:
         self._stopped.set()
 
     def close(self) -> None:
-        """Ends the page."""
-        self.server.stop()
+        """Ends the page, and frees its port."""
+        self._page.close()
 
     def push(self, push: Push) -> None:
         """Pushes robots with the coming step, and shows arrows."""
@@ -147,12 +146,10 @@ class Viewer:
             robots = [r for r in robots if push.who in ("everybody", r.label)]
             rows = torch.zeros(player.num_envs, dtype=torch.bool)
             rows[[r.row for r in robots]] = True
-            base = player.env.base_env
-            impulse = push.impulse(base.robot.impulse_unit)
+            impulse = push.impulse(player.env.base_env.robot.impulse_unit)
             player.push(rows, push.point, impulse, push.duration)
             for robot in robots:
-                body = base.parameters.push_points[push.point]
-                robot.view.show_push(push.point, body, (impulse / push.duration).double().numpy())
+                robot.view.show_push(push.point, (impulse / push.duration).double().numpy())
                 robot.arrow_until = player.time + ARROW_SECONDS
 
     def reset(self) -> None:
@@ -162,6 +159,7 @@ class Viewer:
         for robot in self.robots:
             robot.view.hide_push()
             robot.lying_since = None
+        self.stage.reset()
         self._show([player.states for player in self._players], 1.0)
 
     def say(self, text: str) -> None:
@@ -186,34 +184,31 @@ class Viewer:
         if (run, compare) == (self.run_name, self.compare_name):
             return
         self.say(f"loading {run} ...")
+        file = WatchedFile(self.casting.file_of(run))
         players = self.casting.players(run, compare)
+        self._file = file
         self.run_name, self.compare_name = run, compare
         self._show_players(players)
 
     def _show_players(self, players: list[Player]) -> None:
         self._players = players
         with self.server.atomic():
-            for node in [f"/robots/{i}" for i in range(len(self.robots))]:
+            for node in [f"{ROOT}/robots/{i}" for i in range(len(self.robots))]:
                 self.server.scene.remove_by_name(node)
             robots: list[Robot] = []
             places = iter(offsets(sum(player.num_envs for player in players)))
             for number, player in enumerate(players):
+                model = player.env.base_env.camera.model  # as in pictures and films
+                meshes = body_meshes(model, COMPARED if number > 0 else None)
                 for row in range(player.num_envs):
                     name = player.candidate.label
                     label = f"{name} {row + 1}" if player.num_envs > 1 else name
-                    view = RobotView(
-                        self.server,
-                        f"/robots/{len(robots)}",
-                        player.env.base_env.simulation.model,
-                        next(places),
-                        label,
-                        compared=number > 0,
-                    )
+                    node = f"{ROOT}/robots/{len(robots)}"
+                    view = RobotView(self.server, node, model, meshes, next(places), label)
                     robots.append(Robot(player, row, label, view))
         self.robots = robots
         self.plots.clear()
         self.controls.name_robots([robot.label for robot in self.robots])
-        self._file_time = self._time_of_file()
         self._set_world()
         self.reset()
         self._say_who()
@@ -261,6 +256,8 @@ class Viewer:
                 mode = mode_of(robot.player.seen, robot.row)
                 note = "fell" if fallen else mode if mode != "recover" else None
                 robot.view.say(f"{robot.label}: {note}" if note else robot.label)
+            if self.controls.follow.value:
+                self.stage.follow(self._watched().view.place)
         self.frames += 1
 
     def _report(self) -> None:
@@ -276,20 +273,13 @@ class Viewer:
             lines.append(f"probability of a fall {100 * probability:.0f} %")
         self.controls.readout.content = ", ".join(lines)
 
-    def _time_of_file(self) -> float | None:
-        file = self.casting.file_of(self.run_name)
-        return file.stat().st_mtime if file is not None and file.exists() else None
-
     def _look_at_files(self) -> None:
         choices = self._choices(self.run_name)
         if tuple(choices) != tuple(self.controls.run.options):
             self.controls.run.options = tuple(choices)
             self.controls.compare.options = (NOBODY, *self._choices(self.compare_name))
-        changed = self._time_of_file()
-        if not self.controls.reload.value or changed is None or changed == self._file_time:
-            return
-        self._file_time = changed
-        self._ask(self._carry_on)
+        if self.controls.reload.value and self._file.changed():
+            self._ask(self._carry_on)
 
     def _carry_on(self) -> None:
         self._players[0].carry_on(self.casting.reload(self.run_name))

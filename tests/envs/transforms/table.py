@@ -234,6 +234,8 @@ def build(
     for name, row in (("falling", "bank"), ("kneel_reference", "catches")):
         if row in files and name in rows:
             rows[name][row] = files[row]
+    if "foreign" in rows:
+        rows["foreign"]["joints"] = sorted(robot.joints)
     torch.manual_seed(0)  # of the networks that transforms bring
     env = make_env(base, rows)
     env.set_seed(0)

