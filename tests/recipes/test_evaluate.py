@@ -190,7 +190,7 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evalu
             ["run=best", "battery=spherical", "resolution=0.1"],
             "error: battery.resolution must be null",
         ),
-        (["run=best", "battery=linear"], "envelope kneel planar"),
+        (["run=best", "battery=linear"], "error: In 'evaluate': Could not find 'battery/linear'"),
         (
             ["run=best", "battery.max_tilt=low"],
             "error: battery.max_tilt must be a number, got low.",
