@@ -18,7 +18,8 @@ from torchrl.envs import ExplorationType, set_exploration_type, step_mdp
 import zfall
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.pushes import ScriptedPush
-from zfall.evaluation.play import said
+from zfall.evaluation.captions import PushLog
+from zfall.evaluation.endings import said
 from zfall.evaluation.video import film
 
 PICTURE = Path(__file__).parent / "pictures" / "pushed.gif"
@@ -37,7 +38,7 @@ plan = [
 env.append_transform(
     ScriptedPush(base, point=["torso"] * len(plan), duration=DURATION, time=list(PUSHES), plan=plan)
 )
-states, forces = [], []
+states, log = [], PushLog(2)
 fall_time = torch.full((2,), torch.nan)
 with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
     td = env.reset()
@@ -48,9 +49,10 @@ with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         down = body_contact(td, td["next"])[:, 0] & fall_time.isnan()
         fall_time[down] = (step + 1) * dt
         states.append(base.simulation.qpos.numpy().copy())
-        forces.append(td["next", "push", "force"].numpy().copy())
+        log.add(td["next"])
         td = step_mdp(td)
 shown = np.stack(states)
+pushed = log.frames(range(1, len(states) + 1))
 outcomes = [said(float(time), END) for time in fall_time]
 print({name: outcome[-1][1] for name, outcome in zip(NAMES, outcomes, strict=True)})
 with TemporaryDirectory() as folder:
@@ -59,7 +61,7 @@ with TemporaryDirectory() as folder:
             base.camera.model,
             {name: shown[:, [index]]},
             ["three pushes at the torso"],
-            np.stack(forces)[:, [index]],
+            pushed.of([index]),
             Path(folder) / f"{index}.mp4",
             dt=dt,
             tile=(400, 320),

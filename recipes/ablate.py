@@ -46,9 +46,12 @@ def main(cfg: DictConfig) -> None:
         study = checked(cfg)
         plan = study.plan
     with one_line_errors(SPOKEN), trusting(cfg.trust):
+        from rich.console import Console
+
         from zfall.studies.execute import execute
         from zfall.studies.launch import sweep
         from zfall.studies.store import Store
+        from zfall.studies.writers import print_tables
 
         results, runs = Path(cfg.results), Path(cfg.runs)
         if cfg.jobs is not None:  # in a launcher's process
@@ -63,7 +66,7 @@ def main(cfg: DictConfig) -> None:
             submit = partial(sweep, "jobs", module=f"{__package__}.ablate", **where)
         how = {"rebuild": cfg.rebuild, "force": cfg.force, "submit": submit}
         study.run(results=results, runs=runs, **how)
-        print((results / f"{study.name}.md").read_text())
+        print_tables(study, Store(results, runs), Console())
 
 
 def checked(cfg: DictConfig) -> "Study":

@@ -20,6 +20,7 @@ from .shell import (
     Run,
     check_recipe,
     choice,
+    given_but,
     loading,
     one_line_errors,
     start,
@@ -40,6 +41,7 @@ class Keys(TypedDict):
     memory: bool
     trial: Whole | None
     video: bool
+    references: bool
     joint: Name
     servo: NotRequired[Any]
     trust: Changes
@@ -104,9 +106,16 @@ def main(cfg: DictConfig) -> None:
             for each in candidates:
                 folders[each.name].mkdir(parents=True, exist_ok=True)
             for each in candidates:
-                given = {"seed": cfg.seed, "num_envs": cfg.num_envs, "read": cfg.runs is not None}
                 results[each.name] = run_or_read(
-                    battery, each, folders[each.name], console=console, **given
+                    battery,
+                    each,
+                    folders[each.name],
+                    seed=cfg.seed,
+                    num_envs=cfg.num_envs,
+                    console=console,
+                    read=cfg.runs is not None,
+                    referenced=cfg.references,
+                    shell=given_but("run", "runs", "num_envs", "references"),
                 )
         finally:  # of what was refused nothing stays
             for folder in folders.values():

@@ -16,27 +16,27 @@ if TYPE_CHECKING:
 def main(seconds: float = 10.0) -> None:
     """Writes the motions and prints what becomes of a robot that starts in them."""
     import numpy as np
+    import pandas as pd
     from rich.console import Console
-    from rich.table import Table
 
     from zfall.envs.open_loop import KINDS, follow, pose_hold
     from zfall.motions import library
     from zfall.robots import DEFAULT
+    from zfall.terminal import Sheet, print_sheet
 
     walks = library.gaits_of(DEFAULT)
     motions = library.make_motions(DEFAULT, walks)
     path = library.motions_file(DEFAULT)
     library.save_motions(motions, path)
-    table = Table(title=f"{path.name}: shortest time on the feet, and mean speed, by command")
-    for column in ("motion", "step, mm", "joints, rad/s", *KINDS, "standing pose"):
-        table.add_column(column, justify="right")
+    title = f"{path.name}: shortest time on the feet, and mean speed, by command"
+    columns, rows = ["motion", "step, mm", "joints, rad/s", *KINDS, "standing pose"], []
     for name, gait in walks.items():
         fastest = np.abs(motions[name].states["joint_velocity"]).max()
         followed = [_cell(gait, follow(gait, kind, seconds=seconds)) for kind in KINDS]
         hold = pose_hold(gait, seconds=seconds)
         row = (f"{1e3 * gait.step_length:.0f}", f"{fastest:.1f}", *followed)
-        table.add_row(name, *row, f"{hold.seconds.min():.1f} s")
-    Console(width=140).print(table)
+        rows.append([name, *row, f"{hold.seconds.min():.1f} s"])
+    print_sheet(Sheet(pd.DataFrame(rows, columns=columns), title), Console())
 
 
 def _cell(gait: "Gait", walked: "Walked") -> str:

@@ -10,9 +10,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import remove_if_empty, shown_path
-from zfall.errors import SPOKEN
+from zfall.errors import SPOKEN, object_at
 from zfall.trust import trusting
-from zfall.values import Count, FractionAboveZero, Positive, Seed
+from zfall.values import Count, FractionAboveZero, Name, Positive, Seed
 
 from .shell import (
     Changes,
@@ -43,6 +43,7 @@ class Keys(TypedDict):
     video: bool
     filmed: Count
     slow: FractionAboveZero
+    measures: Sequence[Name]
 
 
 @hydra.main(version_base=None, config_path=".", config_name="play")
@@ -60,13 +61,14 @@ def main(cfg: DictConfig) -> None:
         from zfall.envs.make import left_out
         from zfall.envs.tables import keep
         from zfall.evaluation.battery import BLOCK
-        from zfall.evaluation.candidate import load_candidates
+        from zfall.evaluation.candidate import load_candidate
         from zfall.evaluation.play import film_of, side_pushes, walk
         from zfall.modules.actors import recurrent_keys
 
         console = Console()
         check_values(cfg)
-        (player,) = load_candidates([cfg.run], **loading(cfg))
+        followers = [object_at(path, "measures") for path in cfg.measures]
+        player = load_candidate(cfg.run, **loading(cfg))
         env_cfg, actor = keep(player.env_cfg, cfg.keep), player.actor
         worlds = BLOCK * -(-cfg.num_envs // BLOCK)
         world = {"num_envs": worlds, "powered": player.servos}
@@ -90,6 +92,7 @@ def main(cfg: DictConfig) -> None:
         actor,
         cfg.seconds,
         filmed=cfg.filmed,
+        followers=followers,
         follow=lambda steps, total: track(
             steps, "playing", total=total, console=console, transient=True
         ),

@@ -14,7 +14,6 @@ from omegaconf import DictConfig
 
 from zfall.commands import remove_if_empty, shown_path
 from zfall.errors import SPOKEN
-from zfall.policies.page_files import check_folder, copy_page
 from zfall.trust import trusting
 from zfall.values import Name
 
@@ -40,6 +39,8 @@ def main(cfg: DictConfig) -> None:
     output = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors():
         check_recipe(cfg, Keys)
+        from zfall.policies.page_files import check_folder, copy_page
+
         out = Path(cfg.out)
         check_folder(out, SOURCES)
     with one_line_errors(), trusting(cfg.trust):

@@ -115,9 +115,19 @@ def choice(group: str) -> str | None:
 
 def loading(cfg: DictConfig) -> dict[str, Any]:
     """What the keys env, servo, checkpoint and change say of how candidates are loaded."""
-    change = [*servo_change(), *cfg.change]
-    task = cfg.env if choice("env") else None
-    return {"task": task, "checkpoint": cfg.checkpoint, "change": change}
+    task = {"task": cfg.env} if choice("env") else {}
+    return {**task, "checkpoint": cfg.checkpoint, "change": [*servo_change(), *cfg.change]}
+
+
+def given_but(*keys: str) -> list[str]:
+    """What the shell gave to this recipe, folders of configs too, without these keys."""
+    config = HydraConfig.get()
+    overrides = config.overrides.task
+    words = [word for word in overrides if word.partition("=")[0].lstrip("+~") not in keys]
+    sources = [
+        each.path for each in config.runtime.config_sources if each.provider == "command-line"
+    ]
+    return [*words, *(f"--config-dir={path}" for path in sources)]
 
 
 def servo_change() -> list[str]:

@@ -10,12 +10,14 @@ from omegaconf import DictConfig
 from zfall.commands import remove_if_empty, shell_line, shown_path
 from zfall.errors import SPOKEN
 from zfall.training.keys import TrainKeys
+from zfall.training.launch import again, is_launcher, one_voice, run_ranks
 from zfall.trust import trusting
 
 from .shell import check_recipe, one_line_errors, start
 
 if TYPE_CHECKING:
     from zfall.training.learner import Learner
+    from zfall.training.ranks import Ranks
 
 
 @hydra.main(version_base=None, config_path=".", config_name="train")
@@ -29,7 +31,8 @@ def main(cfg: DictConfig) -> None:
     from zfall.training.begin import AUTO
     from zfall.training.checks import check_config
     from zfall.training.logging import quiet_threads
-    from zfall.training.run_folder import full_disk_named, owned, removed_if_unused
+    from zfall.training.meeting import owned_by_all, ranks_of, shared_folder
+    from zfall.training.run_folder import full_disk_named, removed_if_unused
 
     with one_line_errors(SPOKEN), removed_if_unused(made), trusting(cfg.trust):
         with one_line_errors():
@@ -40,12 +43,20 @@ def main(cfg: DictConfig) -> None:
             folder = Path(cfg.resume)
             check_holds_run(folder, "resume")
             remove_if_empty(made)  # it is not needed
-        with full_disk_named(folder), owned(folder), quiet_threads():
-            train_in(folder, cfg)
+        if is_launcher(cfg.launch.ranks):
+            command = again(f"{__package__}.train", made if folder == made else None)
+            raise SystemExit(run_ranks(command, cfg.launch.ranks, folder))
+        with ranks_of(cfg) as ranks:
+            folder = shared_folder(ranks, folder)
+            with full_disk_named(folder), owned_by_all(folder, ranks), quiet_threads():
+                train_in(folder, cfg, ranks)
 
 
-def train_in(folder: Path, cfg: DictConfig) -> None:
-    """Trains in a folder that is ours, or goes on there, and shows what came of it."""
+def train_in(folder: Path, cfg: DictConfig, ranks: "Ranks") -> None:
+    """Trains in a folder that is ours, or goes on there, and shows what came of it.
+
+    Of several ranks the leading one speaks, writes and shows.
+    """
     from rich.console import Console
 
     from zfall.evaluation.showcase import battery_of, show
@@ -53,13 +64,16 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
     from zfall.training.loop import train_stages
     from zfall.training.run_folder import full_disk_named
 
-    console = Console()
+    console = Console(quiet=not ranks.leads)
     with one_line_errors(), full_disk_named(folder):
         battery_of(cfg)  # before hours are spent
-        learner, run = begin(folder, cfg, HydraConfig.get().overrides.task, console)
+        learner, run = begin(folder, cfg, HydraConfig.get().overrides.task, console, ranks)
 
     def look(learner: "Learner") -> None:
-        show(learner.cfg, learner.policy, learner.beginning, folder, Console(quiet=True))
+        if ranks.leads:
+            policy = learner.transfers.module_back(learner.policy)
+            show(learner.cfg, policy, learner.beginning, folder, Console(quiet=True))
+        ranks.wait()
 
     trained = train_stages(learner, run, console, look)
     if trained is None:
@@ -67,8 +81,9 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
         console.print(f"stopped; go on with: {line}", soft_wrap=True)
         raise SystemExit(130)
     showcase = trained.cfg.showcase
-    if showcase:
-        show(trained.cfg, trained.policy, trained.beginning, folder, console)
+    if showcase and ranks.leads:
+        policy = trained.transfers.module_back(trained.policy)
+        show(trained.cfg, policy, trained.beginning, folder, console)
         if showcase.video and (folder / "video.mp4").exists():
             for line in run.loggers.log_film(folder / "video.mp4", run.frames(trained)):
                 console.print(line, soft_wrap=True)
@@ -77,4 +92,5 @@ def train_in(folder: Path, cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    start(main)
+    with one_voice():
+        start(main)

@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: everything seeded, on the CPU, in seconds."""
 
 import os
+import shutil
 import signal
 import sys
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from pathlib import Path
 import absl.logging
 import pytest
 import torch
+from filelock import FileLock
 from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
 
@@ -71,11 +73,22 @@ def make_task(make_base: Callable[..., HumanoidEnv]) -> Callable[..., Transforme
     return build
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a run of two updates with its showcase."""
-    folder = tmp_path_factory.mktemp("run")
-    done = run("train", *TINY[:-1], *SHOW, f"hydra.run.dir={folder}")
-    assert done.returncode == 0, done.stderr
-    assert "pose_hold" in done.stdout
+@pytest.fixture(scope="session")
+def one_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of two updates with its showcase, trained once for all processes."""
+    root = tmp_path_factory.getbasetemp()
+    root = root if worker is None else root.parent  # which all of them share
+    folder, done = root / "one_run", root / "one_run.done"
+    with FileLock(root / "one_run.lock"):
+        if not done.exists():
+            ran = run("train", *TINY[:-1], *SHOW, f"hydra.run.dir={folder}")
+            assert ran.returncode == 0, ran.stderr
+            assert "pose_hold" in ran.stdout
+            done.touch()
     return folder
+
+
+@pytest.fixture(scope="module")
+def trained(one_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of that run, into which the tests of a file may write."""
+    return Path(shutil.copytree(one_run, tmp_path_factory.mktemp("run") / "run"))

@@ -87,7 +87,8 @@ def _sized(value: float, unit: str, *, _parent_: Any) -> float:
     node = _parent_
     while node is not None and not (isinstance(node, DictConfig) and "base_env" in node):
         node = node._get_parent()
-    robot = None if node is None else node.base_env.get("robot")
+    base = None if node is None else node.base_env
+    robot = base.get("robot") if isinstance(base, DictConfig) else None  # another is refused later
     if robot is None:
         return value
     size: float = get_method("zfall.robots.units.sized")(value, unit, plain_containers(robot))

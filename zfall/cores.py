@@ -1,6 +1,7 @@
 """How many cores this process may use."""
 
 import os
+import sys
 
 _granted: int | None = None  # by whoever shares out the machine
 
@@ -19,8 +20,8 @@ def usable_cores() -> int:
 
 def use_cores(count: int) -> None:
     """Has physics and torch use so many cores, as others share the machine."""
-    import torch
-
     global _granted
     _granted = count
-    torch.set_num_threads(count)
+    os.environ["OMP_NUM_THREADS"] = str(count)  # torch reads it when it is imported
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(count)

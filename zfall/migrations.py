@@ -46,6 +46,8 @@ IRRELEVANT: dict[str, str] = {
     "trust": "which modules may be read, not what they do",
     "checkpoint_every": "the last update is saved in any case, and that policy is tested",
     "groups": "worlds take turns; of another number only the random numbers differ",
+    "launch": "several processes learn the same as one, but for the last digits",
+    "device": "where it is computed, not what",
     "optimizer.fused": "the same step; the last digits are rounded in another order",
     "optimizer.foreach": "as optimizer.fused",
 }

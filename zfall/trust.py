@@ -91,6 +91,11 @@ def trusting(modules: Sequence[str]) -> Iterator[None]:
         _trusted.reset(before)
 
 
+def trusts(path: str) -> bool:
+    """Whether ``trusting`` has a dotted path, or a module or package that it lies in."""
+    return any(f"{path}.".startswith(f"{entry}.") for entry in _trusted.get())
+
+
 def targets_of(config: DictConfig) -> list[str]:
     """All that a config names to be built; of one that the user composed it may be trusted."""
     plain = OmegaConf.to_container(config, resolve=True)

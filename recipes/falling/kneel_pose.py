@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 from ..shell import start
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from zfall.falling.poses import Found
+    from zfall.terminal import Sheet
 
 DRAWS = 12  # batches of 512 poses
 COLUMNS = ("robust", "torque rms [N m]", "lean [rad]", "CoM [m]")
@@ -26,6 +25,7 @@ def main() -> None:
 
     from zfall.envs.humanoid import HumanoidEnv
     from zfall.falling.poses import search_poses
+    from zfall.terminal import print_sheet
 
     console, generator = Console(), np.random.default_rng(0)
     env = HumanoidEnv(num_envs=512, control_dt=0.04, physics_dt=0.004)
@@ -34,25 +34,25 @@ def main() -> None:
         found = search_poses(env, copies, kind, DRAWS, generator)
         tried = DRAWS * env.num_envs
         title = f"{kind}: {len(found)} of {tried} rest"
-        console.print(shown(title, found[:5], env.robot.joints, search.shown))
+        print_sheet(shown(title, found[:5], env.robot.joints, search.shown), console)
         if found:
             console.print("qpos:", " ".join(f"{value:.6g}" for value in found[0].state))
 
 
 def shown(
     title: str, poses: "list[Found]", joints: tuple[str, ...], legs: tuple[str, ...]
-) -> "Table":
+) -> "Sheet":
     """A row for each pose: its figures, and the angles of some joints of the legs [rad]."""
-    from rich.table import Table
+    import pandas as pd
 
-    table = Table(title=title)
-    for name in (*COLUMNS, *legs):
-        table.add_column(name)
+    from zfall.terminal import Sheet
+
+    rows = []
     for pose in poses:
         angles = [pose.angles[joints.index(joint)] for joint in legs]
         figures = (pose.robust, pose.torque, pose.leaning, pose.com_height, *angles)
-        table.add_row(*(f"{value:.3f}" for value in figures))
-    return table
+        rows.append([f"{value:.3f}" for value in figures])
+    return Sheet(pd.DataFrame(rows, columns=[*COLUMNS, *legs]), title)
 
 
 if __name__ == "__main__":

@@ -59,6 +59,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.falling import trigger
         from zfall.falling.fall_network import save_fall_network
         from zfall.falling.plots import reliability_plot, trigger_plot
+        from zfall.terminal import Sheet, print_sheet
 
         console = Console()
         tested = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
@@ -90,7 +91,7 @@ def main(cfg: DictConfig) -> None:
     for ending in ("png", "pdf"):
         reliability_plot(said, seen, folder / f"reliability.{ending}")
         trigger_plot(rows, folder / f"trigger.{ending}")
-    console.print(markdown(rows), markup=False, soft_wrap=True)
+    print_sheet(Sheet(rows, file=str(folder / "trigger.md")), console)
     written = "fall_network.pt, trigger.csv, trigger.md, reliability, trigger"
     console.print(f"wrote {shown_path(folder)}/{written}", soft_wrap=True)
 

@@ -10,6 +10,8 @@ import pytest
 
 ray = pytest.importorskip("ray", reason="pip install 'zfall[ray]'")
 
+MARK = f"ZFALL_TESTS={os.getpid()}"  # in the environment of all that we start
+os.environ |= dict([MARK.split("=")])
 ROOT = Path(__file__).parents[2]
 STUDY = """
 name: tiny
@@ -64,29 +66,17 @@ def studies(tmp_path: Path) -> list[str]:
 
 
 def of_ray(name: str = "") -> list[int]:
-    """Processes below this one that Ray has started, by the begin of what they call themselves."""
+    """Processes that Ray has started for these tests, by the begin of what they call themselves."""
     names = (name,) if name else ("ray::", "raylet", "gcs_server")
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             words = (entry / "cmdline").read_bytes().decode().split("\0")
+            ours = MARK.encode() in (entry / "environ").read_bytes().split(b"\0")
         except OSError:
             continue
-        own = words[0].rpartition("/")[2]
-        if own.startswith(names) and os.getpid() in ancestors(int(entry.name)):
+        if ours and words[0].rpartition("/")[2].startswith(names):
             found.append(int(entry.name))
-    return found
-
-
-def ancestors(pid: int) -> set[int]:
-    """The process, its parent, and so on."""
-    found: set[int] = set()
-    while pid > 1 and pid not in found:
-        found.add(pid)
-        try:
-            pid = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
-        except OSError:
-            break
     return found
 
 

@@ -14,6 +14,7 @@ from zfall.robots import ZEROTH01
 LONG = [*TINY, "total_frames=1600", "epochs=1"]
 
 
+@pytest.mark.slow
 def test_trainings_whose_worker_dies_go_on_elsewhere_from_files_that_were_fetched(
     cluster, tmp_path, monkeypatch
 ):

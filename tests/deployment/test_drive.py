@@ -74,7 +74,7 @@ def bus():
 def test_a_dry_run_passes_the_pushes_that_the_fast_path_passes(folder):
     """Six trials of battery twin, of which the fast path stands most: within its interval."""
     own = load_candidate("twin")
-    battery = load_battery("twin", starts=1, directions=3, impulses=[0.2])
+    battery = load_battery("twin", starts=1, directions=3, impulses=[0.2], end_time=5.0)
     bus = SimulatedBus(battery, own.env_cfg, realtime=False)
     table = compare(ExportedPolicy(folder), bus, own.env_cfg, own.actor)
     low, high = wilson(int(table["recovered_in_zfall"].sum()), len(table))

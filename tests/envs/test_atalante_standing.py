@@ -11,6 +11,7 @@ from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.transforms.actions import JointVelocityTarget
 from zfall.envs.transforms.rewards import WeightedReward
+from zfall.evaluation.pendulum import no_step_bound
 from zfall.robots import ZEROTH01
 
 TERMS = {"odometry", "configuration", "feet_position", "feet_orientation", "capture_point",
@@ -105,6 +106,18 @@ def test_pushes_are_those_of_section_iv_a_scaled(compose_config):
         assert push.duration == pytest.approx(0.4 * TIME, rel=0.02)
         assert [x + push.duration for x in push.interval] == pytest.approx([1.0, 5.0])
         assert (push.point, push.profile, push.direction) == ("pelvis", "gaussian", "spherical")
+
+
+def test_pushes_that_ask_for_steps_are_larger_than_feet_withstand_forward_alone(compose_config):
+    """A bell's mean is 0.417 of its peak; sideways the ankles of a pendulum still suffice."""
+    cfg = compose_config("env=atalante_standing", "+push=atalante_stepping", "num_envs=2")
+    push = cfg.env.transforms.push
+    published = compose_config("env=atalante_standing", "num_envs=2").env.transforms.push
+    for key in ("point", "direction", "profile", "duration", "interval"):
+        assert push[key] == published[key]
+    bound = no_step_bound(ZEROTH01, [0.0, math.pi / 2], push.duration)
+    unit = 0.4167 * push.duration / ZEROTH01.impulse_unit
+    assert published.force[1] * unit < bound[0] < push.force[0] * unit < bound[1]
 
 
 def test_reward_is_a_normalised_sum_of_nine_and_next_to_1_at_rest(build):

@@ -6,6 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from tests.block import block_robot
+from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.tables import keep
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import battery_env, play, run_battery, trial_parameters
@@ -14,6 +16,7 @@ from zfall.evaluation.plans import plan_trials
 from zfall.training.learner import Learner
 
 SMALL = {"impulses": [0.1, 0.9], "starts": 2, "directions": 4, "end_time": 5.0}
+SOON = SMALL | {"push_time": 0.2, "end_time": 1.2}  # over once the first have fallen
 
 
 def test_a_battery_runs_on_the_nominal_robot_with_its_own_pushes_alone(compose_config):
@@ -98,9 +101,10 @@ def test_trials_do_not_depend_on_the_number_of_worlds(compose_config):
     """More trials than fit into 64 worlds: two rounds of these, or one of 128."""
     cfg = compose_config("num_envs=64")
     policy = Learner(cfg).actor
-    battery = load_battery("planar", **(SMALL | {"starts": 10, "end_time": 3.6}))
+    battery = load_battery("planar", **(SOON | {"starts": 10}))
     narrow, wide = (run_battery(battery, cfg.env, policy, num_envs=n) for n in (64, 128))
     assert len(wide) > 64
+    assert 0 < wide["fell"].sum() < len(wide)
     pd.testing.assert_frame_equal(narrow, wide)
 
 
@@ -135,7 +139,7 @@ def test_trials_with_noise_and_delays_do_not_depend_on_their_company(compose_con
 def test_same_seed_gives_the_same_table_and_another_seed_another(compose_config, actor):
     cfg = compose_config("num_envs=4", f"actor={actor}")
     policy = Learner(cfg).actor
-    battery = load_battery("planar", **(SMALL | {"end_time": 3.6, "directions": 2}))
+    battery = load_battery("planar", **(SOON | {"directions": 2}))
     tables = [run_battery(battery, cfg.env, policy, seed=seed, num_envs=64) for seed in (0, 0, 1)]
     pd.testing.assert_frame_equal(tables[0], tables[1])
     assert not np.allclose(tables[0]["peak_tilt"], tables[2]["peak_tilt"])
@@ -187,7 +191,7 @@ def test_masses_and_loads_are_drawn_for_each_trial_from_its_own_seed(make_base):
 def test_payload_battery_weighs_what_it_says(compose_config):
     """Force of the floor on standing feet: total mass of each trial times g."""
     cfg = compose_config("num_envs=64")
-    battery = load_battery("planar_payload", **(SMALL | {"end_time": 3.2}))
+    battery = load_battery("planar_payload", **(SOON | {"end_time": 0.4}))
     table = run_battery(battery, cfg.env, None, num_envs=64)
     assert table["mass_factor"].between(0.8, 1.2).all()
     env, _, _ = battery_env(battery, cfg.env, 64)
@@ -199,3 +203,10 @@ def test_payload_battery_weighs_what_it_says(compose_config):
     weight = last["feet_force"][..., 2].sum(1).numpy()[: len(trials)]
     expected = 9.81 * (3.3494 * table["mass_factor"] + table["load_kg"])
     np.testing.assert_allclose(weight, expected, rtol=0.01)
+
+
+def test_a_load_needs_a_chest_to_lie_on(tmp_path):
+    env = HumanoidEnv(num_envs=1, control_dt=0.04, robot=block_robot(tmp_path))
+    trials = pd.DataFrame({"seed": [0], "trial": [0]})
+    with pytest.raises(ValueError, match="battery.load must have a push point chest .* block has"):
+        trial_parameters(load_battery("planar_payload"), trials, env)

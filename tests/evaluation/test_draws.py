@@ -82,7 +82,7 @@ def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_
     assert Draws.figures(table, tmp_path, "mine") == ["draws.png", "draws.pdf"]
     assert [name for name, _ in figures] == ["draws.png", "draws.pdf"]
     (axes,) = figures[0][1].axes
-    assert axes.get_title() == "mine"
+    assert figures[0][1].get_suptitle() == "mine"
     shown = [label.get_text().split()[0] for label in axes.get_yticklabels()]
     assert shown == ["latency", "friction"]
     assert axes.yaxis_inverted()

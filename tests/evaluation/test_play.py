@@ -10,7 +10,7 @@ from zfall.envs.make import make_env
 from zfall.envs.tables import keep
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.play import said, side_pushes, walk
+from zfall.evaluation.play import side_pushes, walk
 
 
 def test_speed_and_distance_are_those_of_a_flight(make_base):
@@ -34,14 +34,14 @@ def test_speed_and_distance_are_those_of_a_flight(make_base):
     assert played.figures["seconds"] == pytest.approx(1.0)
     assert played.figures["forward_velocity"] == pytest.approx(0.5 * (48 - 16) / 64, rel=0.02)
     assert played.figures["distance"] == pytest.approx(0.5 * (1.0 - base.control_dt), rel=0.02)
-    assert played.states.shape[1] == played.forces.shape[1] == 4
+    assert played.states.shape[1] == played.pushed.force.shape[1] == 4
 
 
 @pytest.mark.parametrize("kept", [[], ["push"]])
 def test_pushes_are_there_if_they_are_kept(compose_config, kept):
     often = ["env.transforms.push.interval=[0.0,0.1]", "num_envs=64"]
     env = instantiate(keep(compose_config(*often).env, kept), training=False)
-    forces = walk(env, None, 1.0).forces
+    forces = walk(env, None, 1.0).pushed.force
     assert (forces != 0).any() == bool(kept)
 
 
@@ -61,12 +61,6 @@ def test_pushes_come_from_the_four_sides_in_turn(make_base):
     env.append_transform(push)
     with pytest.raises(ValueError, match="pushes"):
         side_pushes(env, [0.5], 10.0)
-
-
-def test_a_film_says_stays_up_only_of_who_does():
-    assert said(math.nan, 10.0) == [(8.5, "stays up", True)]
-    assert said(3.2, 10.0) == [(3.2, "fell after 3.2 s", False)]
-    assert said(5.0, 10.0, ended=3.0) == [(3.0, "task ended after 3.0 s", False)]
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 
 from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import (
+    envelope_plot,
     learning_bands,
     learning_curves,
+    overlay,
     profiles_plot,
     success_map,
     trace_plot,
@@ -113,8 +115,8 @@ def test_every_figure_is_drawn(tmp_path, ending):
             assert imageio.imread(path).std() > 5
 
 
-def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
-    """By dashes and marks, for they are grey; of curves, profiles and traces."""
+def test_sixteen_lines_of_a_plot_all_differ_also_without_colour(tmp_path, monkeypatch):
+    """By dashes and marks; of curves, profiles, traces and polar plots."""
     drawn: list[Figure] = []
 
     def drawn_to(figure: Figure, path: Path, **kwargs: object) -> None:
@@ -122,7 +124,7 @@ def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
         path.touch()
 
     monkeypatch.setattr(Figure, "savefig", drawn_to)
-    names = "abcdefgh"
+    names = "abcdefghijklmnop"
     steps = np.linspace(0.0, 1.0, 20)
     curve = pd.DataFrame({"frames": steps + 1.0, "episode_seconds": steps})
     trace = pd.DataFrame(dict.fromkeys(("time_s", "target", "position", "torque"), steps))
@@ -132,12 +134,18 @@ def test_eight_lines_of_a_plot_all_differ(tmp_path, monkeypatch):
     learning_bands({name: [curve] for name in names}, tmp_path / "a.png")
     profiles_plot(dict.fromkeys(names, trials), tmp_path / "b.png", title="test")
     trace_plot(dict.fromkeys(names, trace), tmp_path / "c.png", joint="knee", pushes=[(0.5, 0.6)])
-    assert len(drawn) == 3
+    overlay(dict.fromkeys(names, trials), tmp_path / "d.png", title="test")
+    envelope = pd.DataFrame({"body": "torso", "direction_rad": steps, "largest": steps})
+    envelope_plot(dict.fromkeys(names, envelope), tmp_path / "e.png", title="test")
+    metrics = pd.DataFrame(
+        dict.fromkeys(("frames", "episode_return", "episode_seconds", "kl"), steps)
+    )
+    learning_curves(dict.fromkeys(names, metrics), tmp_path / "f.png")
+    assert len(drawn) == 6
     for figure in drawn:
         lines = [line for line in figure.axes[0].lines if line.get_label()[0] in names]
-        assert len(lines) == 8
-        looks = {(line.get_linestyle(), line.get_marker(), line.get_color()) for line in lines}
-        assert len(looks) == 8
+        assert len(lines) == 16
+        assert len({(line.get_linestyle(), line.get_marker()) for line in lines}) == 16
 
 
 def test_the_same_curves_give_the_same_pdf(tmp_path, monkeypatch):

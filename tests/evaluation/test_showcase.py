@@ -16,7 +16,7 @@ def test_film_shows_one_push_from_each_side_when_that_of_the_battery_comes(
     """0.6 s into the film, for 0.1 s, of I = 0.4, where I = 1 is 49 N; frames are 0.04 s apart."""
     battery = replace(load_battery("planar"), push_time=push_time)
     recorded = record(battery, compose_config().env, None)
-    qpos, forces = recorded.states, recorded.forces
+    qpos, forces = recorded.states, recorded.pushed.force
     assert len(qpos) == len(forces) == 90  # 3.6 s
     away = {"from behind": (1, 0), "from the right": (0, 1), "from the front": (-1, 0), "from the left": (0, -1)}  # fmt: skip
     for index, side in enumerate(SIDES):

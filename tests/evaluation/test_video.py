@@ -6,9 +6,11 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 import pytest
+import torch
+from tensordict import TensorDict
 
 from zfall.evaluation import video
-from zfall.evaluation.captions import outcome_at, push_marks
+from zfall.evaluation.captions import Pushed, PushLog, outcome_at, push_marks
 from zfall.robots import ZEROTH01
 
 
@@ -17,9 +19,11 @@ def test_film_has_a_frame_per_step_and_shows_the_robot(tmp_path):
     states = np.tile(model.key("stand").qpos, (5, 2, 1))
     forces = np.zeros((5, 2, 3))
     forces[2:, 0] = [20.0, 0.0, 0.0]
+    norms = np.linalg.norm(forces, axis=-1)
+    pushed = Pushed(forces, norms, 0.12 * norms, norms / 100)
     path = tmp_path / "film.mp4"
     try:
-        video.film(model, {"a": states}, ["one", "two"], forces, path, dt=0.04, tile=(160, 120))
+        video.film(model, {"a": states}, ["one", "two"], pushed, path, dt=0.04, tile=(160, 120))
     except RuntimeError as error:
         assert "install" in str(error)
         pytest.skip("no OpenGL on this machine")
@@ -49,15 +53,41 @@ def test_slow_motion_goes_halfway_between_two_states():
     assert half[3:7] == pytest.approx([math.cos(math.pi / 8), 0, 0, math.sin(math.pi / 8)])
 
 
-def test_a_push_is_named_by_its_side_and_marked_for_a_second():
-    """20 N for 0.1 s along +y are 20, 20 and 10 N in steps of 0.04 s: to the left, or forward."""
-    forces = np.zeros((50, 3))
-    forces[10:13, 1] = 20.0, 20.0, 10.0
-    marks = push_marks(forces, np.zeros(50), 0.04)
+def steps_of_a_push(worlds=1):
+    """20 N for 0.1 s from the right, I = 0.4: 8 mN s in the first step, 0.8 in two, and a rest."""
+    log = PushLog(worlds)
+    for share in [0.0] * 10 + [0.01, 1.0, 1.0, 0.49] + [0.0] * 36:
+        acts = float(share > 0)
+        step = {"force": [0.0, 20.0 * share, 0.0], "peak_force": [20.0 * acts]}
+        step |= {"impulse": [2.0 * acts], "size": [0.4 * acts]}
+        push = {key: torch.tensor([value] * worlds) for key, value in step.items()}
+        log.add(TensorDict({"push": push}, []))
+    return log
+
+
+def test_a_push_is_named_by_its_plan_and_side_and_marked_for_a_second():
+    """A push along +y comes from the right, of who faces there from behind."""
+    pushed = steps_of_a_push().frames(range(1, 51))
+    marks = push_marks(pushed, 0, np.zeros(50), 0.04)
     assert [t for t, mark in enumerate(marks) if mark] == list(range(10, 35))
-    assert marks[10].label == "20 N for 0.1 s from the right"
-    turned = push_marks(forces, np.full(50, math.pi / 2), 0.04)
-    assert turned[10].label == "20 N for 0.1 s from behind"
+    assert marks[10].label == "I = 0.4: 20 N for 0.1 s from the right"
+    turned = push_marks(pushed, 0, np.full(50, math.pi / 2), 0.04)
+    assert turned[10].label == "I = 0.4: 20 N for 0.1 s from behind"
+
+
+def test_frames_longer_than_the_push_show_its_size_and_not_their_mean():
+    """Over ten steps 20 N for 0.1 s are 5 N in the mean; the arrow is that of 20 N."""
+    pushed = steps_of_a_push().frames([10, 20, 30, 40, 50])
+    assert pushed.force[1, 0] == pytest.approx([0.0, 5.0, 0.0])
+    mark = push_marks(pushed, 0, np.zeros(5), 0.4)[1]
+    assert mark.label == "I = 0.4: 20 N for 0.1 s from the right"
+    assert mark.force == pytest.approx([0.0, 20.0, 0.0])
+
+
+def test_an_env_without_pushes_has_no_marks():
+    log = PushLog(2)
+    log.add(TensorDict({}, []))
+    assert push_marks(log.frames([1]), 1, np.zeros(1), 0.04) == [None]
 
 
 def test_an_outcome_is_said_from_its_time_on():

@@ -19,9 +19,9 @@ def test_what_is_not_a_number_is_null_however_deep(tmp_path):
     assert read == {"a": None, "b": [1.0, None], "c": {"d": None, "e": "NaN"}}
 
 
-def test_a_table_is_written_twice_with_three_digits_for_readers(tmp_path):
+def test_a_table_is_written_for_programs_and_with_three_digits_for_readers(tmp_path):
     rows = pd.DataFrame({"run": ["a", "b"], "share": [0.123456, 2.0], "n": [3, 4]})
-    assert write_table(tmp_path, "shares", rows) == ["shares.csv", "shares.md"]
+    assert write_table(tmp_path, "shares", rows) == ["shares.csv", "shares.md", "shares.tex"]
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "shares.csv"), rows)
     text = (tmp_path / "shares.md").read_text()
     assert text == markdown(rows)

@@ -38,6 +38,7 @@ def test_best_gru_is_configured_as_it_was_trained(compose_config):
     trained = DictConfig(OmegaConf.create(content["config"]))
     trained.groups, trained.alike, trained.actor.residual = None, 1, False  # there were none
     trained.name, trained.logger, trained.trust = None, cfg.logger, []
+    trained.device, trained.launch = "cpu", cfg.launch  # one process, on a processor
     trained.statistics_batches, trained.stages = 0, {}  # the first batch was learned from
     trained.optimizer.fused = True  # it was plain Adam, the same update in more steps
     trained.auxiliary_losses.imitation.sees = "observation"  # nothing else could be

@@ -1,6 +1,7 @@
 """Studies: what is finished stays, what was cut goes on, what fails is marked."""
 
 import multiprocessing
+import re
 import sys
 import time
 from pathlib import Path
@@ -12,15 +13,17 @@ from tests.shell import run
 
 STUDY = """
 name: tiny
-base: [experiment=quickstart_studied, num_envs=16, rollout_steps=4, checkpoint_every=1]
+base: [experiment=quickstart_studied, num_envs=16, rollout_steps=4, epochs=2, checkpoint_every=1]
 rows: {none: [], mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]}
 seeds: [0, 1]
+row_seeds: {mirrored: [0], bad: [1]}
 total_frames: 256
 battery: {name: planar, starts: 1, impulses: [0.1, 0.4], directions: 2, end_time: 3.4}
 training_size: "0.4"
 """
+ONE_ROW = STUDY.replace("row_seeds: {mirrored: [0], bad: [1]}\n", "")
 OTHER = (
-    STUDY.replace("name: tiny", "name: other")
+    ONE_ROW.replace("name: tiny", "name: other")
     .replace("none: []", "plain: []")
     .replace(", mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]", "")
 )
@@ -62,7 +65,7 @@ def test_a_study_marks_what_failed_and_runs_what_is_shared_once(studies, tmp_pat
         assert (tmp_path / "results" / f"tiny.{ending}").exists()
     (file,) = (tmp_path / "results" / "results").iterdir()
     stored = file.read_text()
-    assert stored.count('"result"') == 4  # two rows, two seeds
+    assert stored.count('"result"') == 3  # two seeds of one row, one of the other
     assert f"{tmp_path}/results/tiny.pdf" in done.stdout
     figures = pd.read_csv(tmp_path / "results" / "tiny.csv")
     assert set(figures["row"]) == {"none", "mirrored"}
@@ -81,7 +84,7 @@ def test_a_study_killed_and_started_again_gives_the_same_table(studies, tmp_path
     context.set_forkserver_preload(["recipes.ablate"])
     alone = [*studies[:2], f"results={tmp_path}/alone/results", f"runs={tmp_path}/alone/runs"]
     path = tmp_path / "own" / "study" / "tiny.yaml"
-    one_row = STUDY.replace(
+    one_row = ONE_ROW.replace(
         " mirrored: [symmetry=augmentation], bad: [env.transforms.push.point=toe]", ""
     )
     path.write_text(one_row.replace("seeds: [0, 1]", "seeds: [0]"))
@@ -125,4 +128,4 @@ def test_a_launcher_that_fails_is_named_and_leaves_the_rest_to_the_next_call(stu
     done = run("ablate", *studies, "study=other", "launcher=nowhere")
     assert "launcher nowhere failed" in done.stderr
     assert "nowhere" in (tmp_path / "runs" / "other.log").read_text()
-    assert "| plain, seed 0 | not run |" in done.stdout
+    assert re.search(r"plain, seed 0 +not run", done.stdout)

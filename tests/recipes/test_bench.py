@@ -1,17 +1,20 @@
 """The speed recipe."""
 
 import json
+from functools import partial
 
 import pytest
 
 from recipes import bench
 from tests.shell import run
+from zfall.training import speed
 
 TINY = ["num_envs=8", "rollout_steps=4", "seconds=0.1"]
 
 
 def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
-    monkeypatch.setattr("zfall.training.speed.ROUNDS", 1)
+    monkeypatch.setattr(speed, "ROUNDS", 1)
+    monkeypatch.setattr(speed, "loss_shares", partial(speed.loss_shares, rounds=1))
     done = run("bench", *TINY, "peers=false", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "bench.json").read_text())
@@ -27,7 +30,7 @@ def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
 
 
 def test_an_experiment_is_measured_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr("zfall.training.speed.ROUNDS", 1)
+    monkeypatch.setattr(speed, "ROUNDS", 1)
     # In two groups, as more worlds are.
     monkeypatch.setattr("zfall.training.collection.PAYS_FROM", 8)
     done = run("bench", *TINY, "only=quickstart", f"hydra.run.dir={tmp_path}")

@@ -2,6 +2,7 @@
 
 import html
 import json
+import re
 import shlex
 
 import pandas as pd
@@ -63,14 +64,17 @@ def test_an_evaluation_of_nothing_says_what_there_is(given):
     assert "pose_hold" in done.stderr
 
 
-def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(trained, monkeypatch):
-    """Cut off after the first of two chunks; the rest is run, and the file is the same."""
+def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(tmp_path, monkeypatch):
+    """Cut off after the first of two chunks; the rest is run, and the file is the same.
+
+    A limp robot soon lies on the floor, with a push or without, and so soon that is known.
+    """
     from zfall.evaluation import run as library
 
-    args = [f"run={trained}", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
-            "end_time=3.6", "num_envs=64"]  # fmt: skip
+    args = ["run=limp", "starts=10", "directions=3", "impulses=[0.1,0.3]", "point=chest",
+            "end_time=3.6", "num_envs=64", f"hydra.run.dir={tmp_path}"]  # fmt: skip
     setting = "planar_point-chest_directions-3_impulses-0.1,0.3_starts-10_end_time-3.6"
-    folder = trained / "evaluation" / setting
+    folder = tmp_path / "evaluation" / setting
     assert run("evaluate", *args).returncode == 0
     whole = (folder / "trials.csv").read_bytes()
     write = library.write_trials
@@ -186,7 +190,7 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evalu
             ["run=best", "battery=spherical", "resolution=0.1"],
             "error: battery.resolution must be null",
         ),
-        (["run=best", "battery=linear"], "envelope kneel planar"),
+        (["run=best", "battery=linear"], "error: In 'evaluate': Could not find 'battery/linear'"),
         (
             ["run=best", "battery.max_tilt=low"],
             "error: battery.max_tilt must be a number, got low.",
@@ -374,3 +378,32 @@ def test_a_battery_can_be_run_with_other_servos(tmp_path):
     assert done.returncode == 1
     assert "servo/mine" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_the_line_of_a_lost_trial_in_the_report_repeats_it(trained, monkeypatch):
+    """I = 2 fells whoever is pushed; alone the trial has the same outcome, to the last digit."""
+    given = [
+        "battery=planar",
+        "starts=1",
+        "directions=2",
+        "impulses=[2.0]",
+        "point=pelvis",
+        "end_time=3.6",
+    ]
+    done = run("evaluate", f"run={trained}", *given, "num_envs=64")
+    assert done.returncode == 0, done.stderr
+    page = html.unescape((trained / "report.html").read_text())
+    lines = [line for line in re.findall(r"<code>([^<]*)</code>", page) if "impulses=[2.0]" in line]
+    assert len(lines) >= 2
+    words = shlex.split(lines[-1])
+    assert words[1:3] == ["-m", "recipes.evaluate"]
+    assert words[-1] == "video=true"
+    again = run("evaluate", *words[3:-1])  # a film needs a graphics card
+    assert again.returncode == 0, again.stderr
+    setting = "planar_point-pelvis_directions-2_impulses-2.0_starts-1_end_time-3.6"
+    trials = pd.read_csv(trained / "evaluation" / setting / "trials.csv").set_index("trial")
+    row = trials.loc[int(words[-2].removeprefix("trial="))]
+    said = dict(re.findall(r"^  (\S+): (\S+)$", again.stdout, re.MULTILINE))
+    assert said["recovered"] == "False"
+    for key in ("time_to_fall_s", "peak_base_acceleration", "peak_tilt", "direction_rad"):
+        assert said[key] == f"{row[key]:.4g}", key

@@ -20,6 +20,7 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
         *(name + end for name in PAPERS for end in ("", "_laptop")),
         "best_gru",
         "push_to_kneel_softly",
+        "zeroth_walk",
     ],
 )
 def test_every_experiment_learns(name, tmp_path):
@@ -90,7 +91,7 @@ def test_atalante_is_conditioned_for_smoothness(name, compose_config):
 def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
     """What each stage leaves out; all critics see the same, so that they go on."""
     stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
-    assert list(stages) == ["step", "steady", "calmer", "calm", "late", "twin"]
+    assert list(stages) == ["step", "steady", "calmer", "calm", "late", "twin", "idle"]
     quick = compose_config("experiment=quickstart").env.transforms
     kept = {"push", "limit", "start", "action", "observation", "observation_critic", "terminations"}
     for key in kept:
@@ -98,14 +99,14 @@ def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
     hardware = {"jitter", "backlash", "physics", "encoder_late", "imu_late", "zeros", "mounting"}
     for name, cfg in stages.items():
         transforms = cfg.env.transforms
-        assert cfg.env.base_env.servo_dynamics == (name == "twin")
+        assert cfg.env.base_env.servo_dynamics == (name in ("twin", "idle"))
         there = {key for key in hardware if transforms[key] is not None}
-        assert there == (hardware if name == "twin" else set())
-        late = name in ("late", "twin")
+        assert there == (hardware if name in ("twin", "idle") else set())
+        late = name in ("late", "twin", "idle")
         assert transforms.latency.delay == ([0.01, 0.035] if late else [0.0, 0.008])
         assert (cfg.augmentation is None) == (late or name == "calm")
         assert transforms.observation_critic == quick.observation_critic
     weights = [cfg.env.transforms.reward.terms.still for cfg in stages.values()]
-    assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2, 0.2]
+    assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2, 0.2, 0.2]
     rates = [cfg.optimizer.lr for cfg in stages.values()]
-    assert rates == [5e-4, 5e-4, 3e-5, 3e-5, 3e-5, 3e-5]
+    assert rates == [5e-4, 5e-4, 3e-5, 3e-5, 3e-5, 3e-5, 3e-5]

@@ -6,8 +6,6 @@ from torchrl.envs import ExplorationType, set_exploration_type
 from tests.memory_task import STEPS
 from zfall.training.learner import Learner
 
-UPDATES = 60
-
 
 def error_at_the_end(learner: Learner) -> float:
     """Mean squared error of the policy without exploration, when it is asked."""
@@ -16,9 +14,9 @@ def error_at_the_end(learner: Learner) -> float:
     return -td["next", "reward"][:, -1].mean().item()
 
 
-@pytest.mark.parametrize(("actor", "solved"), [("gru_mog", True), ("mlp_gaussian", False)])
+@pytest.mark.parametrize(("actor", "updates"), [("gru_mog", 60), ("mlp_gaussian", 20)])
 def test_a_direction_shown_once_is_known_a_second_later_by_a_memory_alone(
-    compose_config, actor, solved
+    compose_config, actor, updates
 ):
     """Without memory the least error is 1, that of the action 0."""
     cfg = compose_config(
@@ -30,7 +28,7 @@ def test_a_direction_shown_once_is_known_a_second_later_by_a_memory_alone(
         cfg.actor.hidden_size, cfg.actor.components, cfg.actor.memory_steps = 16, 0, STEPS
     cfg.env = {"_target_": "tests.memory_task.make_env", "num_envs": 64}
     learner = Learner(cfg)
-    for _ in range(UPDATES):
+    for _ in range(updates):
         learner.learn(learner.collect())
     error = error_at_the_end(learner)
-    assert error < 0.2 if solved else error > 0.9
+    assert error < 0.2 if actor == "gru_mog" else error > 0.9

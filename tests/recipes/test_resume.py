@@ -36,11 +36,11 @@ def test_stopped_and_resumed_run_equals_the_one_not_stopped(part, tmp_path):
     """Same metrics, to the last digit; a row written after the checkpoint is dropped."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     common = [*TINY, *EVENTFUL, *part.split()]
-    assert run("train", *common, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
+    assert run("train", *common, "total_frames=96", f"hydra.run.dir={whole}").returncode == 0
     assert run("train", *common, "total_frames=64", f"hydra.run.dir={parts}").returncode == 0
     with (parts / "metrics.csv").open("a") as file:
         file.write("3,96,half a row")
-    done = run("train", f"resume={parts}", "total_frames=128", f"hydra.run.dir={tmp_path}/x")
+    done = run("train", f"resume={parts}", "total_frames=96", f"hydra.run.dir={tmp_path}/x")
     assert done.returncode == 0, done.stderr
     metrics = pd.read_csv(whole / "metrics.csv")
     assert metrics["episodes"].sum() > 0
@@ -99,7 +99,7 @@ def test_keys_that_a_run_was_written_without_have_their_defaults(trained, tmp_pa
     for key in ("alike", "averaging", "augmentation", "auxiliary_share", "logger", "warm_start"):
         del config[key]
     checkpoint.save(last, content | {"config": OmegaConf.to_yaml(config)})
-    done = run("train", f"resume={tmp_path}/old", "total_frames=96")
+    done = run("train", f"resume={tmp_path}/old", "total_frames=96", "showcase=null")
     assert done.returncode == 0, done.stderr
     resumed = OmegaConf.create(checkpoint.load(last)["config"])
     assert (resumed.alike, resumed.auxiliary_share, resumed.augmentation) == (1, 0.125, None)
@@ -127,7 +127,7 @@ def test_resuming_leaves_other_folders_alone(trained, tmp_path):
     """Whatever hydra is told to be its folder: only one that it made, and that is empty, goes."""
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / ".hydra").mkdir()
-    done = run("train", f"resume={trained}", f"hydra.run.dir={tmp_path}")
+    done = run("train", f"resume={trained}", "showcase=null", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert (tmp_path / ".hydra").exists()
@@ -189,7 +189,7 @@ def test_ctrl_c_while_a_training_is_built_leaves_nothing(tmp_path, monkeypatch):
 def test_ctrl_c_amid_a_save_leaves_a_sound_checkpoint(presses, tmp_path, monkeypatch):
     """Once lets the update end; twice ends at once, with the checkpoint before."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    assert run("train", *TINY, "total_frames=128", f"hydra.run.dir={whole}").returncode == 0
+    assert run("train", *TINY, "total_frames=96", f"hydra.run.dir={whole}").returncode == 0
     write, writes = checkpoint.os.replace, []
 
     def press(*paths):
@@ -201,7 +201,7 @@ def test_ctrl_c_amid_a_save_leaves_a_sound_checkpoint(presses, tmp_path, monkeyp
 
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint.os, "replace", press)
-        done = run("train", *TINY, "total_frames=128", f"hydra.run.dir={parts}")
+        done = run("train", *TINY, "total_frames=96", f"hydra.run.dir={parts}")
     assert done.returncode == 130
     assert "Traceback" not in done.stderr
     assert not list(parts.rglob("*.tmp"))

@@ -2,6 +2,7 @@
 
 import gc
 import re
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 import pandas as pd
@@ -248,13 +249,16 @@ def test_a_run_whose_logger_writes_elsewhere_goes_on_once_that_is_trusted(tmp_pa
     assert done.returncode == 0, done.stderr
 
 
+SOON = {"push_time": 0.2, "end_time": 1.0}  # in place of 3 and 7 s
+
+
 def test_a_look_in_between_changes_nothing_of_the_training(tmp_path):
     """It is there before the training is over, and of the battery that was asked for."""
     looked = "{starts: 1, sizes: [0.4], video: false, every: 2, battery: twin}"
     whole = [*TINY, "total_frames=128"]
     assert run("train", *whole, f"hydra.run.dir={tmp_path}/a").returncode == 0
     seen = []
-    shown = showcase.show
+    shown, asked = showcase.show, showcase.battery_of
 
     def show(cfg, actor, untrained, folder, console):
         seen.append(len((folder / "metrics.csv").read_text().splitlines()) - 1)
@@ -264,6 +268,7 @@ def test_a_look_in_between_changes_nothing_of_the_training(tmp_path):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(showcase, "show", show)
+        patch.setattr(showcase, "battery_of", lambda cfg: replace(asked(cfg), **SOON))
         done = run("train", *whole, f"showcase={looked}", f"hydra.run.dir={tmp_path}/b")
     assert done.returncode == 0, done.stderr
     assert seen == [2, 4]

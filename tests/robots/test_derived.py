@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.toy import FOOT, HALF_FOOT, HINGES, MASS, toy_mjcf
-from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, load_spec
+from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, full_spec
 from zfall.robots.anatomy import hips_of
 from zfall.robots.declared import check_declared
 from zfall.robots.symmetry import find_symmetry
@@ -96,7 +96,7 @@ def test_a_joint_without_stops_has_a_range_for_its_targets(tmp_path):
 def test_what_is_added_moves_nothing(tmp_path):
     """The physics of the completed toy is that of its MJCF, whatever reads it."""
     robot = toy(tmp_path, actuator=POSITION.format(name="{name}", kp=40, gear=1))
-    spec = load_spec(robot)
+    spec = full_spec(robot)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     models = [bare_model(robot), spec.compile()]
@@ -109,6 +109,15 @@ def test_what_is_added_moves_nothing(tmp_path):
             mujoco.mj_step(model, data)
         states.append(data.qpos.copy())
     np.testing.assert_array_equal(*states)
+
+
+def test_what_is_only_seen_is_left_out_of_the_physics_and_kept_for_pictures(tmp_path):
+    shell = '<geom size="0.05" contype="0" conaffinity="0" mass="0"/>'
+    robot = toy(tmp_path, foot=FOOT + shell)
+    stepped, shown = (compile_model(robot, physics_dt=0.004, look=look) for look in (False, True))
+    assert shown.ngeom == stepped.ngeom + 2
+    assert shown.nq == stepped.nq
+    assert shown.camera("track").id >= 0
 
 
 def test_a_foot_with_a_toe_has_one_sole(tmp_path):
@@ -155,14 +164,15 @@ def test_the_mirror_of_the_default_robot_is_found_as_it_is_declared():
     [
         ({"free": ""}, "must have a free joint, it has none"),
         ({"foot": '<geom type="box" size="0.06 0.03 0.01" mass="0.1" contype="0" conaffinity="0"/>',
-          "more": ""}, "left_shank|falls"),
+          "more": ""}, "it falls: after"),
         ({"foot": '<geom size="0.01" pos="0 0 -0.02" mass="0.1"/>'}, "it falls: after"),
         ({"key": 'qpos="0 0 0.3 1 0 0 0 1.2 0 0 -1.2 0 0"'}, "it falls: after"),
         ({"actuator": '<motor joint="{name}"/>'}, "left_hip must have a largest torque"),
         ({"actuator": '<velocity joint="{name}" kv="1" forcerange="-1 1"/>'}, "must be a motor"),
         ({"actuator": ""}, "must have actuators on hinge joints, it has none"),
         ({"actuator": '<motor joint="{name}" ctrlrange="-1 1"/><motor joint="{name}"/>'}, "one actuator"),
-        ({"more": "<asset><mesh file='gone.stl'/></asset>"}, "gone.stl"),
+        ({"foot": '<geom type="mesh" mesh="gone" mass="0.1"/>',
+          "more": "<asset><mesh name='gone' file='gone.stl'/></asset>"}, "gone.stl"),
         ({"more": "<nonsense/>"}, "mjcf must be an MJCF"),
     ],
 )  # fmt: skip

@@ -15,7 +15,8 @@ from zfall.studies.store import Store
 SWITCHED = "zfall.falling.switched_with.SwitchedWith"
 TINY = {
     "name": "tiny",
-    "base": ["experiment=quickstart_studied", "num_envs=16", "rollout_steps=4", "checkpoint_every=1"],
+    "base": ["experiment=quickstart_studied", "num_envs=16", "rollout_steps=4", "epochs=2",
+             "checkpoint_every=1"],
     "rows": {"none": [], "mirrored": ["symmetry=augmentation"]},
     "seeds": [0, 1],
     "total_frames": 256,
@@ -26,7 +27,7 @@ TINY = {
 }  # fmt: skip
 FALLS = {
     "name": "falls",
-    "base": ["experiment=quickstart_studied", "num_envs=16", "rollout_steps=4"],
+    "base": ["experiment=quickstart_studied", "num_envs=16", "rollout_steps=4", "epochs=2"],
     "rows": {
         "two": ["experiment=push_to_kneel_kneel"],
         "one": ["experiment=push_to_kneel"],

@@ -27,9 +27,9 @@ def test_the_bar_follows_files_and_reads_no_config(tmp_path):
 
     frames = {tmp_path / "a": 1_000_000, tmp_path / "b": 2_000_000}
     with Progress(disable=True) as bar:
-        follow(bar, runs, [[folder] for folder in frames], frames, store, Twice())
+        follow(bar, "tiny", runs, [[folder] for folder in frames], frames, store, Twice())
         (task,) = bar.tasks
-    assert (task.completed, task.total) == (2.2, 3.0)
+    assert (task.completed, task.total, task.description) == (2.2, 3.0, "study tiny")
 
 
 @pytest.mark.parametrize(

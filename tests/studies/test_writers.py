@@ -9,8 +9,14 @@ import pytest
 from tests.studies.conftest import TINY, some_test, write
 from zfall.studies.plan import Run
 from zfall.studies.store import Store
-from zfall.studies.tables import Cell, as_frame
-from zfall.studies.writers import as_latex, as_markdown, check_keeps_all, write_tables
+from zfall.studies.tables import Cell, Table, as_frame
+from zfall.studies.writers import (
+    as_latex,
+    as_markdown,
+    check_keeps_all,
+    sheet_of,
+    write_tables,
+)
 
 FIGURES = {"i50_mean": ("mean I50", 3), "control_falls": ("falls", 1)}
 FALLS = Cell(1.0, 1.0, 1.0, 3, None)
@@ -41,10 +47,20 @@ def test_one_seed_has_no_interval_and_a_difference_of_no_shown_size_is_not_bold(
 
 def test_latex_escapes_what_latex_reads():
     latex = as_latex(ROWS, MISSING, FIGURES)
-    assert r"\textbf{+0.050 [+0.040, +0.060]}" in latex
+    assert r"better & \textbf{0.550} & 1.0 \\" in latex
+    assert r" & \scriptsize [0.440, 0.660] & \scriptsize [1.0, 1.0] \\" in latex
+    assert r"base & 0.500 &" in latex
     assert r"no\_such\_key" in latex
     assert r"100 \% \_as" in latex
-    assert latex.count(r"\\") == 1 + 3 + 1
+    assert latex.count(r"\textbf") == 1
+
+
+def test_a_printed_table_has_a_star_where_latex_has_bold_and_says_what_is_missing():
+    table = Table("calm", ROWS, MISSING)
+    rows = sheet_of(table, FIGURES, title="tiny").rows
+    assert rows["mean I50"].tolist() == [
+        "0.500\n[0.400, 0.600]", "0.550*\n[0.440, 0.660]", "0.500", "failed: no_such_key"
+    ]  # fmt: skip
 
 
 def test_a_table_keeps_its_runs(tmp_path):

@@ -22,6 +22,7 @@ from zfall.modules.actors import normalizer_of
 from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.metrics import batch_metrics
+from zfall.training.ranks import WholeMinibatch
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
             "mlp_shared_mog mlp", "gru_shared_mog mlp"]  # fmt: skip
@@ -530,7 +531,8 @@ def test_one_pass_of_the_policy_gives_all_losses_what_passes_of_their_own_would(
         learner._one_pass = one_pass
         passes.clear()
         torch.manual_seed(0)
-        values = {k: v for k, v in learner._losses_of(part).items() if k.startswith("loss_")}
+        losses = learner._losses_of(part, WholeMinibatch(torch.arange(len(part))))
+        values = {k: v for k, v in losses.items() if k.startswith("loss_")}
         learner.optimizer.zero_grad()
         sum(values.values()).backward()
         found.append((values, [p.grad.clone() for p in learner.parameters], len(passes)))

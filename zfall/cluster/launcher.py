@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from zfall.cluster.connection import connected
 from zfall.cluster.job import Ending, Job, Sweep, execute, recipe_of, versions
 from zfall.cluster.mirror import Keeper, on_own_disk
+from zfall.commands import shown_path
 from zfall.errors import check_number
 
 KEY = "hydra.launcher"
@@ -150,8 +151,9 @@ class RayLauncher(Launcher):
             for key, value in self.given.items():
                 if key in config and config[key] is None:
                     config[key] = value
-            # It may contain the time.
-            config.hydra.sweep.dir = folder = str(self.config.hydra.sweep.dir)
+            # It may contain the time; a node without our disk has another working directory.
+            given = Path(str(self.config.hydra.sweep.dir))
+            config.hydra.sweep.dir = folder = shown_path(given.absolute())
             config.hydra.sweep.subdir = subdir = str(config.hydra.sweep.subdir)
         return Job(number, config, Path(folder) / subdir, Path(folder) / f"{subdir}.log")
 
@@ -165,7 +167,7 @@ class RayLauncher(Launcher):
                 f"hydra.sweep.dir must lie in the working directory with {KEY}.shared=false, "
                 f"got {folder}."
             )
-        reads = {job.number: paths_read(job.config, here) for job in jobs}
+        reads = {job.number: [*paths_read(job.config, here), str(job.folder)] for job in jobs}
         names = {job.number: " ".join(job.config.hydra.overrides.task) for job in jobs}
         node = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
         actor = ray.remote(num_cpus=0, scheduling_strategy=node)(Keeper)

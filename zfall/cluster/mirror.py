@@ -51,6 +51,7 @@ class Keeper:
 
     def files_for(self, number: int) -> Files:
         """What a job reads, and what it has written so far."""
+        # What its folder holds comes along in any case: a recipe refuses to begin in another's.
         paths = [self.folder / each for each in (*self.reads[number], *self._written(number))]
         within = [each for path in paths for each in (path.rglob("*") if path.is_dir() else [path])]
         return contents(self.folder, [path for path in within if path.is_file()])

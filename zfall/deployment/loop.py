@@ -164,7 +164,8 @@ class _Drive:
         why = str(error) if isinstance(error, Stopped) else in_one_line(error)
         why = "by hand" if by_hand else why or repr(error)
         servos: str = self.settings.stop
-        failed, time = None, self.answered
+        failed: Exception | None = None
+        time = self.answered
         try:
             if self.settings.stop == "limp":
                 self.write(registers.TORQUE_ENABLE, 0)

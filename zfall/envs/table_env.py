@@ -63,12 +63,25 @@ class TableEnv(TransformedEnv):
 
 
 class Table(Compose):
-    """``Compose`` in which what prepares a reset runs in the order of the table, too."""
+    """``Compose`` in which what prepares a reset runs in the order of the table, too.
+
+    A transform that looks up keys gets an env of copies of those before it. The copies keep such
+    envs that the originals have: built anew in each of them, every ``StepCounter``, ``InitTracker``
+    and ``RewardSum`` doubles the time in which a task is made.
+    """
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase) -> TensorDictBase:
         for transform in self.transforms:
             tensordict = transform._reset_env_preprocess(tensordict)
         return tensordict
+
+    def _rebuild_up_to(
+        self, final_transform: Transform
+    ) -> tuple[TransformedEnv | None, Compose | None]:
+        env, copies = super()._rebuild_up_to(final_transform)
+        for copy, transform in zip(copies or (), self.transforms, strict=False):
+            copy.__dict__["_parent"] = transform.__dict__.get("_parent")
+        return env, copies
 
     def clone(self) -> "Table":
         """A copy, without an env."""

@@ -62,7 +62,13 @@ def trial_parameters(battery: Battery, trials: pd.DataFrame, env: HumanoidEnv) -
         params["link_mass"] = factor[:, None].repeat(1, spec["link_mass"].shape[1])
     if battery.load is not None:
         params["payload"] = torch.zeros(len(trials), spec["payload"].shape[1])
-        column = list(env.parameters.push_points).index("chest")
+        points = list(env.parameters.push_points)
+        if "chest" not in points:
+            raise ValueError(
+                f"battery.load must have a push point chest to lie on, {env.robot.name} has "
+                f"{', '.join(points)}: declare it in push_points."
+            )
+        column = points.index("chest")
         params["payload"][:, column] = torch.tensor(between(battery.load, drawn[:, 1])).float()
     return params
 
@@ -102,7 +108,8 @@ def battery_env(
         time=battery.push_time,
         plan=torch.zeros(num_envs, len(points), 3),
     )
-    table = dict(cfg.transforms.items()) | {"battery_start": start, "battery_push": push}
+    # First the push: a world's physics may turn it into something else, see BallPush.
+    table = {"battery_push": push, **dict(cfg.transforms.items()), "battery_start": start}
     gone = left_out(OmegaConf.select(cfg, "training_only", default={}))
     training_only = {*gone, *starts_and_pushes(cfg)}
     env = make_env(base, table, training_only=training_only, training=False)
@@ -222,12 +229,14 @@ def run_battery(
         results.append(finished)
         trials = trials[~trials["trial"].isin(finished["trial"])]
     steps = round(battery.end_time / base.control_dt)
+    prepare = getattr(kind_of(battery), "prepare", lambda battery, trials, env: None)
     chunks = [trials.iloc[i : i + worlds] for i in range(0, len(trials), worlds)]
     for index, chunk in enumerate(chunks):
         rows = np.arange(worlds).clip(max=len(chunk) - 1)  # padded with its last trial
         padded = chunk.iloc[rows]
         arrange(battery, padded, pushes[padded.index.to_numpy()], base, start, push)
         begin_streams(base, seed, padded["trial"])
+        prepare(battery, padded, env)
         params = trial_parameters(battery, padded, base)
         if params:
             base.set_physics_params(TensorDict(params, batch_size=[worlds]))

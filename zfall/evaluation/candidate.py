@@ -35,7 +35,7 @@ class Candidate:
     """A policy or baseline that is put to a battery.
 
     Attributes:
-        name: a run folder, or the name of a baseline or of a policy that ships.
+        name: a run folder, the name of a baseline or of a policy that ships, or a yaml.
         env_cfg: config of its env.
         actor: the policy; ``None`` of a baseline.
         servos: whether the servos act.
@@ -62,7 +62,8 @@ class Candidate:
 
     def results(self, elsewhere: Path) -> Path:
         """Where its results go: a run folder keeps its own, those of others go elsewhere."""
-        own = self.actor is not None and not shipped(self.name).exists()
+        shared = shipped(self.name).exists() or not Path(self.name).is_dir()
+        own = self.actor is not None and not shared
         return (Path(self.name) if own else elsewhere) / "evaluation"
 
     def still(self) -> "Candidate":
@@ -132,7 +133,8 @@ def load_candidate(
     """A policy, or a baseline in an env.
 
     Args:
-        run: a policy, a run folder, or the name of a policy that ships or of a baseline.
+        run: a policy, a run folder, the name of a policy that ships or of a baseline, or the yaml
+            of a policy of another framework.
         checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         change: values of the env to replace.
         task: the env of a baseline: its config, or its name in ``recipes/env``.

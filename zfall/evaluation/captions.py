@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import font_manager
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from tensordict import TensorDictBase
 
 MARKED = 1.0  # so long a push is marked, from its begin [s]
 FALL, GOOD, DARK = (213, 94, 0), (0, 128, 92), (40, 46, 54)  # colours of Okabe and Ito, and ink
@@ -25,11 +26,68 @@ _SIDES = (
 
 
 @dataclass(frozen=True)
+class Pushed:
+    """What pushes W worlds, over T times.
+
+    Attributes:
+        force: mean over each time ``(T, W, 3)`` [N; world].
+        peak: the planned force of the push that acts, at its peak ``(T, W)`` [N]; 0 without one.
+        impulse: of that push from its begin to its end ``(T, W)`` [N s].
+        size: the same, dimensionless ``(T, W)``.
+    """
+
+    force: NDArray[np.float32]
+    peak: NDArray[np.float32]
+    impulse: NDArray[np.float32]
+    size: NDArray[np.float32]
+
+    def of(self, worlds: Sequence[int]) -> "Pushed":
+        """That of some of the worlds."""
+        index = list(worlds)
+        planned = (each[:, index] for each in (self.peak, self.impulse, self.size))
+        return Pushed(self.force[:, index], *planned)
+
+
+class PushLog:
+    """Writes down what pushes the first worlds, step by step.
+
+    Args:
+        worlds: how many.
+    """
+
+    def __init__(self, worlds: int):
+        self.worlds = worlds
+        self._steps: list[list[NDArray[np.float32]]] = []
+
+    def add(self, td: TensorDictBase) -> None:
+        """Takes in what followed a control step; an env without pushes has none."""
+        row = [np.zeros((self.worlds, size), np.float32) for size in (3, 1, 1, 1)]
+        if ("push", "force") in td.keys(True):
+            names = ("force", "peak_force", "impulse", "size")
+            row = [td["push", name][: self.worlds].numpy().copy() for name in names]
+        self._steps.append(row)
+
+    def frames(self, ends: Sequence[int]) -> Pushed:
+        """The pushes by frame: means of the force, and the largest push of each frame.
+
+        Args:
+            ends: number of steps after which each of T frames ends.
+        """
+        begins = [0, *ends[:-1]]
+        force, *planned = (
+            [np.stack(steps[begin:end]) for begin, end in zip(begins, ends, strict=True)]
+            for steps in zip(*self._steps, strict=True)
+        )
+        largest = (np.stack([each.max(0)[:, 0] for each in frames]) for frames in planned)
+        return Pushed(np.stack([each.mean(0) for each in force]), *largest)
+
+
+@dataclass(frozen=True)
 class Mark:
     """A push on its picture.
 
     Attributes:
-        force: at its peak [N; world].
+        force: along it, of its peak [N; world].
         label: its size, length and side.
         age: time since it began [s].
     """
@@ -40,29 +98,35 @@ class Mark:
 
 
 def push_marks(
-    forces: NDArray[np.floating], headings: NDArray[np.floating], dt: float
+    pushed: Pushed, world: int, headings: NDArray[np.floating], dt: float
 ) -> list[Mark | None]:
     """What marks the pushes of one world in each frame.
 
+    Its label names the push as it was planned, whatever part of it fell into a frame.
+
     Args:
-        forces: mean over the time of each frame ``(T, 3)`` [N; world].
+        pushed: by frame.
+        world: which.
         headings: where the robot faces ``(T,)`` [rad].
         dt: between two frames [s].
     """
+    forces = pushed.force[:, world]
     marks: list[Mark | None] = [None] * len(forces)
-    acts = np.linalg.norm(forces, axis=1) > 0.1
+    acts = pushed.peak[:, world] > 0.1
     for begin in np.flatnonzero(acts & ~np.concatenate([[False], acts[:-1]])):
         rest = np.flatnonzero(~acts[begin:])
         end = begin + (rest[0] if len(rest) else len(forces) - begin)
-        sizes = np.linalg.norm(forces[begin:end], axis=1)
-        peak = forces[begin + int(sizes.argmax())]
-        length = float(sizes.sum() / sizes.max()) * dt
-        toward = math.atan2(peak[1], peak[0]) - headings[begin]
+        most = begin + int(pushed.size[begin:end, world].argmax())
+        largest = begin + int(np.linalg.norm(forces[begin:end], axis=1).argmax())
+        peak, impulse = (float(each[most, world]) for each in (pushed.peak, pushed.impulse))
+        way = forces[largest] / max(1e-6, float(np.linalg.norm(forces[largest])))
+        toward = math.atan2(way[1], way[0]) - headings[begin]
         side = _SIDES[round(toward / (math.pi / 4)) % 8]
-        label = f"{sizes.max():.0f} N for {length:.2g} s {side}"
+        size = f"I = {pushed.size[most, world]:.3g}"
+        label = f"{size}: {peak:.0f} N for {impulse / peak:.2g} s {side}"
         last = max(end, begin + math.ceil(MARKED / dt))
         for t in range(begin, min(last, len(forces))):
-            marks[t] = Mark(peak, label, (t - begin) * dt)
+            marks[t] = Mark(peak * way, label, (t - begin) * dt)
     return marks
 
 

@@ -45,6 +45,7 @@ class Battery:
     interval: Positive | None
     forces: tuple[tuple[float, float], ...]
     force_starts: Whole
+    commands: tuple[tuple[float, float, float], ...]
     world: Mapping[str, Mapping[str, Any]] | None
 
     @property

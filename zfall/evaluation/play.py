@@ -12,9 +12,11 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.evaluation.battery import play
+from zfall.evaluation.captions import Pushed, PushLog
+from zfall.evaluation.endings import Endings
+from zfall.evaluation.followers import Follower
 from zfall.evaluation.video import Outcomes, film, frame
 
 FIRST, APART, DURATION = 1.0, 4.0, 0.1  # when pushes begin, and their length [s]
@@ -27,23 +29,25 @@ class Played:
 
     Attributes:
         figures: ``worlds``; ``fell``, in how many of them a region but the feet touched the floor;
-            ``ended``, in how many the task ended without that; ``seconds``, mean time to either;
+            ``ended``, in how many the task ended without that; by the names of the followers'
+            outcomes, how many end so, as ``kneeled``; ``seconds``, mean time to either;
             ``forward_velocity`` [m/s], mean over that time of the base's velocity along the way
             the robot faces; ``distance`` [m], mean from begin to end of it, on the level.
         states: positions of the first worlds ``(T, filmed, nq)``, in MuJoCo's order.
-        forces: of pushes on them ``(T, filmed, 3)``, means from state to state [N; world].
+        pushed: what pushed them, from state to state.
         outcomes: what came of each of them.
     """
 
     figures: dict[str, float]
     states: NDArray[np.float64]
-    forces: NDArray[np.float32]
+    pushed: Pushed
     outcomes: list[Outcomes]
 
     def lines(self) -> list[str]:
         """The figures in words, with units; counts are of all worlds."""
         worlds = f"{self.figures['worlds']:.0f}"
-        counts = [f"{key}: {self.figures[key]:.0f} of {worlds} worlds" for key in ("fell", "ended")]
+        counted = [key for key in self.figures if key not in (*UNITS, "worlds")]
+        counts = [f"{key}: {self.figures[key]:.0f} of {worlds} worlds" for key in counted]
         return counts + [f"{key}: {self.figures[key]:.3g} {unit}" for key, unit in UNITS.items()]
 
 
@@ -93,6 +97,7 @@ def walk(
     seconds: float,
     *,
     filmed: int = 4,
+    followers: Sequence[type[Follower]] = (),
     follow: Callable[[Iterable[TensorDictBase], int], Iterable[TensorDictBase]] = (
         lambda steps, total: steps
     ),
@@ -104,51 +109,42 @@ def walk(
         actor: the policy; ``None`` holds the reference pose.
         seconds: time to play [s].
         filmed: of how many worlds the states are kept.
+        followers: whose outcomes are looked for, as a battery's ``measures`` name them.
         follow: passes the steps on, given their number, as a progress bar does.
     """
     base = env.base_env
     steps, every = round(seconds / base.control_dt), round(frame(base) / base.control_dt)
-    up = torch.ones(env.num_envs, dtype=torch.bool)
-    fell, fall_time = ~up, torch.full((env.num_envs,), torch.nan)
-    end_time = fall_time.clone()
+    endings, log = Endings(base, followers), PushLog(filmed)
     began = last = torch.zeros(0)
     upright, ways = torch.zeros(env.num_envs), torch.zeros(env.num_envs)
-    states, forces = [], []
-    recent = np.zeros((filmed, 3), np.float32)
+    states, ends = [], []
     for step, td in enumerate(follow(play(env, actor, steps), steps)):
         place = td["base_position"][:, :2]
         if step == 0:
             began = last = place
-        down = body_contact(td, td)[:, 0]
-        fall_time[down & ~fell] = (step + 1) * base.control_dt
-        fell = fell | down
-        ended = up & ~fell & td["terminated"][:, 0]
-        end_time[ended] = (step + 1) * base.control_dt
-        up = up & ~ended & ~fell
+        endings.update(td, (step + 1) * base.control_dt)
         w, x, y, z = td["base_orientation"].unbind(-1)
         heading = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y.square() + z.square()))
         facing = torch.stack([heading.cos(), heading.sin()], -1)
         way = (td["base_linear_velocity"][:, :2] * facing).sum(-1)
-        ways += way * up
-        upright += up
-        last = torch.where(up[:, None], place, last)
-        push = td.get(("push", "force"), torch.zeros(filmed, 3))
-        recent += push[:filmed].numpy() / every
+        ways += way * endings.up
+        upright += endings.up
+        last = torch.where(endings.up[:, None], place, last)
+        log.add(td)
         if (step + 1) % every == 0 or step + 1 == steps:
             states.append(base.simulation.qpos[:filmed].numpy().copy())
-            forces.append(recent)
-            recent = np.zeros((filmed, 3), np.float32)
+            ends.append(step + 1)
     figures = {
         "worlds": float(env.num_envs),
-        "fell": float(fell.sum()),
-        "ended": float((~up & ~fell).sum()),
+        "fell": float(endings.fell.sum()),
+        "ended": float((~endings.up & ~endings.fell).sum()),
+        **{name: float(which.sum()) for name, which in endings.reached.items()},
         "seconds": float(upright.mean()) * base.control_dt,
         "forward_velocity": float((ways / upright.clamp_min(1)).mean()),
         "distance": float((last - began).norm(dim=-1).mean()),
     }
-    times = zip(fall_time[:filmed].tolist(), end_time[:filmed].tolist(), strict=True)
-    outcomes = [said(fall, seconds, ended=end) for fall, end in times]
-    return Played(figures, np.stack(states), np.stack(forces), outcomes)
+    outcomes = [endings.said(world, seconds) for world in range(filmed)]
+    return Played(figures, np.stack(states), log.frames(ends), outcomes)
 
 
 def film_of(
@@ -177,25 +173,10 @@ def film_of(
         base.camera.model,
         {label: played.states},
         [f"world {i}" for i in range(played.states.shape[1])],
-        played.forces,
+        played.pushed,
         path,
         dt=frame(base),
         slow=slow,
         outcomes={label: played.outcomes},
         follow=follow,
     )
-
-
-def said(fall_time: float, end: float, *, ended: float = math.nan) -> Outcomes:
-    """What a film says of a world, and from when on.
-
-    Args:
-        fall_time: when it fell [s], NaN if it did not.
-        end: of the film [s].
-        ended: when the task ended it otherwise, before any fall [s]; NaN if it did not.
-    """
-    if not math.isnan(ended):
-        return [(ended, f"task ended after {ended:.1f} s", False)]
-    if math.isnan(fall_time):
-        return [(max(0.0, end - 1.5), "stays up", True)]
-    return [(fall_time, f"fell after {fall_time:.1f} s", False)]

@@ -3,10 +3,10 @@
 import base64
 import json
 import platform
+import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,17 @@ from typing import Any
 import pandas as pd
 from jinja2 import Environment
 
-from zfall.commands import shell_line
+from zfall.commands import shell_line, shown_path
+from zfall.evaluation.curves import SIZE, Panel, panels
+from zfall.evaluation.lost_trials import can_be_shown, film_line, lost_trials
+from zfall.evaluation.results import labels
 from zfall.evaluation.run_files import read_summary, read_table, reading
 from zfall.files import written_whole
+from zfall.terminal import text_of
 from zfall.trust import texts_of_file
+from zfall.versions import versions
 
-PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 CAPTIONS = {
-    "learning_curves": "Return, length of episodes, divergence and reward terms over training.",
     "success_map": "Share of trials recovered, by direction and impulse of the push.",
     "planar": "Share of trials recovered in the short battery at the end of training.",
     "withstood": "Pushes withstood in a row, by impulse, duration and push point.",
@@ -38,14 +41,18 @@ LONG = 24  # rows of a table that are shown at once
 
 @dataclass
 class Section:
-    """A part of the page: paragraphs, tables (html), figures, a video, commands, listings."""
+    """A part of the page: paragraphs, tables (html), curves, figures, a video, listings.
+
+    ``lost`` are trials with their ``line`` to be filmed.
+    """
 
     title: str
     notes: list[str] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
+    curves: list[Panel] = field(default_factory=list)
+    lost: list[dict[str, Any]] = field(default_factory=list)
     figures: list[dict[str, Any]] = field(default_factory=list)
     video: str = ""
-    commands: list[str] = field(default_factory=list)
     listings: list[dict[str, str]] = field(default_factory=list)
 
 
@@ -64,21 +71,27 @@ def write_report(folder: Path, command: str = "") -> Path:
     """
     sections = [_training(folder)] if (folder / "metrics.csv").exists() else []
     batteries = [path.parent for path in folder.glob("evaluation/*/summary.json")]
-    sections += [_battery(path) for path in sorted(batteries, key=_planar_first)]
+    sections += [_battery(folder, path) for path in sorted(batteries, key=_planar_first)]
     if (folder / "comparison.csv").exists():
         sections.append(_comparison(folder))
     film = folder / "video.mp4"
     if film.exists():
-        text = "Above the policy, below pose_hold; the arrow is the force."
+        text = "Above the policy, below pose_hold; the arrow shows where a push comes from."
         sections.append(Section("Film", notes=[text], video=_encoded(film)))
-    sections.append(_reproduction(folder, command))
-    frames = f"{platform.python_implementation()} {platform.python_version()}"
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    sections.append(_reproduction(folder))
+    here = f"{platform.python_implementation()} {platform.python_version()}"
+    made = ", ".join(f"{name} {value}" for name, value in versions().items())
     template = files("zfall.evaluation").joinpath("report.html.j2").read_text()
     page = (
         Environment(autoescape=True)
         .from_string(template)
-        .render(title=_title(folder), subtitle=f"{versions}; {frames}", sections=sections)
+        .render(
+            title=_title(folder),
+            facts=_facts(folder, command),
+            made=f"{made}; {here}",
+            sections=sections,
+            size=SIZE,
+        )
     )
     path = folder / "report.html"
     with written_whole(path) as new:
@@ -88,14 +101,43 @@ def write_report(folder: Path, command: str = "") -> Path:
 
 def _title(folder: Path) -> str:
     """The experiment and the ``name`` that the shell gave to a run, and its folder."""
-    overrides = folder / ".hydra" / "overrides.yaml"
-    given = (
-        dict(o.split("=", 1) for o in texts_of_file(overrides) if "=" in o)
-        if overrides.exists()
-        else {}
-    )
+    given = _given(folder)
     said = [given[key] for key in ("name", "experiment") if given.get(key, "null") != "null"]
     return ", ".join([*said, folder.name])
+
+
+def _given(folder: Path) -> dict[str, str]:
+    """What the shell gave to a run."""
+    overrides = folder / ".hydra" / "overrides.yaml"
+    texts = texts_of_file(overrides) if overrides.exists() else []
+    return dict(text.split("=", 1) for text in texts if "=" in text)
+
+
+def _facts(folder: Path, command: str) -> list[tuple[str, str, bool]]:
+    """What the page is about: words, and whether they are code."""
+    overrides = folder / ".hydra" / "overrides.yaml"
+    if not overrides.exists():
+        return [("command", command, True)] if command else []
+    given = _given(folder)
+    line = shell_line("train", shlex.join(texts_of_file(overrides)))
+    facts = [
+        ("run", given.get("name", "null"), False),
+        ("folder", shown_path(folder), True),
+        ("experiment", given.get("experiment", "quickstart, the default"), False),
+        ("trained with", _version_of(folder / ".hydra" / "versions.json"), False),
+        ("command", line, True),
+    ]
+    return [fact for fact in facts if fact[1] != "null"]
+
+
+def _version_of(path: Path) -> str:
+    """Version and commit in a file that a run keeps of its code."""
+    return _code_of(read_summary(path)) if path.exists() else "a version that was not recorded"
+
+
+def _code_of(found: Mapping[str, Any]) -> str:
+    commit = f", commit {found['commit']}" if "commit" in found else ""
+    return f"zfall {found.get('zfall', 'of an unknown version')}{commit}"
 
 
 def _planar_first(battery: Path) -> tuple[bool, str]:
@@ -118,18 +160,40 @@ def _training(folder: Path) -> Section:
             seconds = timing["collect_s"].sum() + timing["learn_s"].sum()
             notes.append(f"{seconds / 60:.1f} minutes, {frames / seconds:.0f} control steps/s.")
     out = Section("Training", notes=notes, tables=[_html(rows)])
-    out.figures = [_figure(path) for path in sorted((folder / "plots").glob("*.png"))]
+    with reading(folder / "metrics.csv"):
+        out.curves = panels({"": metrics})
+    drawn = sorted((folder / "plots").glob("*.png"))
+    out.figures = [_figure(path) for path in drawn if path.stem != "learning_curves"]
     return out
 
 
-def _battery(folder: Path) -> Section:
+def _battery(run: Path, folder: Path) -> Section:
     summary = read_summary(path := folder / "summary.json")
     with reading(path):
         notes, tables = _headlines(summary)
+        if "versions" in summary:
+            notes.append(f"Run with {_code_of(summary['versions'])}.")
     tables += [_html(read_table(path)) for path in _tables(folder)]
     figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
     title = f"Battery {folder.name.replace('_', ' ')}"
-    return Section(title, notes=notes, tables=tables, figures=figures)
+    lost = _lost(run, folder, summary)
+    return Section(title, notes=notes, tables=tables, figures=figures, lost=lost)
+
+
+def _lost(run: Path, folder: Path, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The trials lost to the smallest pushes, each with its line."""
+    path = folder / "trials.csv"
+    if not path.exists() or not can_be_shown(trials := read_table(path)):
+        return []
+    with reading(path):
+        rows = lost_trials(trials).to_dict("records")
+    return [
+        {
+            "cells": {str(key): text_of(value) for key, value in row.items()},
+            "line": film_line(run, summary, folder.name, row["trial"]),
+        }
+        for row in rows
+    ]
 
 
 def _headlines(summary: Mapping[str, Any]) -> tuple[list[str], list[str]]:
@@ -161,8 +225,19 @@ def _headlines(summary: Mapping[str, Any]) -> tuple[list[str], list[str]]:
 def _comparison(folder: Path) -> Section:
     note = "Differences are to the first run, on the same trials; p is of McNemar's exact test."
     tables = [_html(read_table(path)) for path in _tables(folder)]
-    figures = [_figure(path) for path in sorted(folder.glob("*.png"))]
-    return Section("Comparison", notes=[note], tables=tables, figures=figures)
+    out = Section("Comparison", notes=[note], tables=tables)
+    out.curves = panels(trained) if len(trained := _trained(folder)) > 1 else []
+    drawn = [path for path in sorted(folder.glob("*.png")) if path.stem != "learning_curves"]
+    out.figures = [_figure(path) for path in drawn]
+    return out
+
+
+def _trained(folder: Path) -> dict[str, pd.DataFrame]:
+    """Rows of ``metrics.csv`` of the runs that are compared, as far as they are there."""
+    runs = {name: Path(name) / "metrics.csv" for name in read_summary(folder / "summary.json")}
+    there = [name for name, path in runs.items() if path.exists()]
+    tables = [read_table(runs[name]) for name in there]
+    return dict(zip(labels(there), tables, strict=True))
 
 
 def _tables(folder: Path) -> list[Path]:
@@ -171,14 +246,9 @@ def _tables(folder: Path) -> list[Path]:
     return sorted(paths, key=lambda path: (path.stem != "comparison", path.stem))
 
 
-def _reproduction(folder: Path, command: str) -> Section:
+def _reproduction(folder: Path) -> Section:
     out = Section("To get this again")
-    overrides = folder / ".hydra" / "overrides.yaml"
-    if overrides.exists():
-        given = shlex.join(texts_of_file(overrides))
-        out.commands.append(shell_line("train", given))
     if (folder / "comparison.csv").exists():
-        out.commands += [command] if command else []
         summaries = read_summary(path := folder / "summary.json")
         with reading(path):
             given = json.dumps(next(iter(summaries.values()))["definition"], indent=2)
@@ -197,14 +267,15 @@ def _reproduction(folder: Path, command: str) -> Section:
 def _html(rows: pd.DataFrame) -> str:
     """A table; a long one behind a fold."""
     table = rows.to_html(index=False, border=0, float_format=lambda x: f"{x:.3g}", na_rep="-")
+    table = re.sub("<th>[^<]*</th>", lambda head: head[0].replace("_", "_<wbr>"), table)
     if len(rows) <= LONG:
-        return str(table)
+        return table
     return f"<details><summary>{len(rows)} rows</summary>{table}</details>"
 
 
 def _figure(path: Path) -> dict[str, Any]:
     caption = CAPTIONS.get(path.stem, path.stem.replace("_", " "))
-    wide = path.stem in ("learning_curves", "withstood", "envelope")
+    wide = path.stem in ("withstood", "envelope")
     return {"caption": caption, "data": _encoded(path), "wide": wide}
 
 

@@ -1,6 +1,6 @@
 """What a battery found of a policy, and the files in which it is kept."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,11 +14,14 @@ from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
+from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import learning_curves
 from zfall.evaluation.run_files import read_table
 from zfall.evaluation.writers import Written, write_figures, write_summary, write_table
 from zfall.robots import Robot
+from zfall.terminal import Sheet, print_sheet
 from zfall.trust import texts_of_file
+from zfall.versions import versions
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -35,6 +38,7 @@ class Result:
         summary: headline figures, as in ``summary.json``.
         background: trials of ``pose_hold`` to be drawn with the policy's, if there are any.
         tables: of the battery's measures, by name.
+        referenced: whether polar plots show the lines of a pendulum and of other robots.
     """
 
     battery: Battery
@@ -44,6 +48,12 @@ class Result:
     summary: dict[str, Any]
     background: pd.DataFrame | None = None
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    referenced: bool = True
+
+    @property
+    def lines(self) -> list[Reference]:
+        """What polar plots compare with."""
+        return references(self.robot, self.battery.durations[0]) if self.referenced else []
 
 
 def result_of(
@@ -53,6 +63,8 @@ def result_of(
     trials: pd.DataFrame,
     background: pd.DataFrame | None = None,
     known: Mapping[str, Any] = NOTHING,
+    *,
+    referenced: bool = True,
 ) -> Result:
     """The result of these trials, summed up as the battery's kind and measures do.
 
@@ -63,6 +75,7 @@ def result_of(
         trials: with their outcomes.
         background: those of ``pose_hold``.
         known: what the summary says in addition.
+        referenced: whether polar plots have reference lines.
     """
     summary, tables = kind_of(battery).summary(battery, trials) | dict(known), {}
     for follower in followers_of(battery):
@@ -72,18 +85,23 @@ def result_of(
             if isinstance(value, pd.DataFrame):
                 tables[key], value = value, value.to_dict("records")
             summary[key] = value
-    return Result(battery, name, robot, trials, summary, background, tables)
+    return Result(battery, name, robot, trials, summary, background, tables, referenced)
 
 
-def write_results(result: Result, folder: Path, console: Console) -> None:
+def write_results(
+    result: Result, folder: Path, console: Console, given: Sequence[str] | None = None
+) -> None:
     """Writes ``summary.json``, tables and figures of a battery, and prints its headlines.
 
     Args:
         result: of one policy; ``trials.csv`` is there already.
         folder: where to, named by the battery and its setting.
         console: to print on.
+        given: what the shell gave to the recipe besides the run, to show a trial again.
     """
-    write_summary(folder, result.summary)
+    made: dict[str, Any] = {"versions": versions()}
+    made |= {} if given is None else {"given": list(given)}
+    write_summary(folder, result.summary | made)
     written = kind_of(result.battery).write(result, folder)
     for name, table in result.tables.items():
         written.files += write_table(folder, name, table)
@@ -123,7 +141,8 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
         files += write_figures(folder, "learning_curves", draw)
     write_summary(folder, summaries)
     _print(written, console)
-    console.print((folder / "comparison.md").read_text(), markup=False, soft_wrap=True)
+    named = paired.assign(run=list(labelled))
+    print_sheet(Sheet(named, file=str(folder / "comparison.csv")), console)
     _print_files(folder, files + written.files, console)
 
 
@@ -135,10 +154,10 @@ def _is_figure(key: str, value: Any) -> bool:
 
 def _print(written: Written, console: Console) -> None:
     for each in written.shown:
-        if isinstance(each, str):
-            console.print(each, markup=False, soft_wrap=True)
+        if isinstance(each, Sheet):
+            print_sheet(each, console)
         else:
-            console.print(each)
+            console.print(each, markup=False, soft_wrap=True)
 
 
 def _print_files(folder: Path, names: list[str], console: Console) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from zfall.envs.make import left_out
 from zfall.evaluation.battery import run_battery, starts_and_pushes
@@ -26,6 +25,7 @@ from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.plans import plan_trials
 from zfall.evaluation.results import Result, result_of, write_results
 from zfall.policies.load import Policy
+from zfall.terminal import progress_bar
 from zfall.trust import trusting
 
 QUIET = Console(quiet=True)
@@ -127,8 +127,7 @@ def trials_of(
         finished: pd.DataFrame | None = None,
         keep: Callable[[pd.DataFrame], None] = lambda trials: None,
     ) -> pd.DataFrame:
-        columns = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-        with Progress(TextColumn(label), BarColumn(), *columns, console=console) as bar:
+        with progress_bar(console) as bar:
             task = bar.add_task(label)
             return run_battery(
                 battery,
@@ -182,6 +181,8 @@ def run_or_read(
     num_envs: int,
     console: Console,
     read: bool = False,
+    referenced: bool = True,
+    shell: Sequence[str] | None = None,
 ) -> Result:
     """All trials of a battery, and its files; goes on where an interrupted call stopped.
 
@@ -193,13 +194,15 @@ def run_or_read(
         num_envs: worlds that run together, at most.
         console: to print on.
         read: whether results that are there already under the same conditions are read.
+        referenced: whether polar plots have reference lines.
+        shell: what the shell gave to the recipe besides the run, which the summary keeps.
     """
     battery = battery.of_size(candidate.robot)
-    known = candidate.known(battery)
+    known, plain = candidate.known(battery), {"referenced": referenced}
     conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:
         console.print(f"{battery.name} of {candidate.name}: read from {folder}/trials.csv")
-        return result_of(battery, candidate.label, candidate.robot, done, known=known)
+        return result_of(battery, candidate.label, candidate.robot, done, None, known, **plain)
     only = left_out(OmegaConf.select(candidate.env_cfg, "training_only", default={}))
     gone = ", ".join(dict.fromkeys([*only, *starts_and_pushes(candidate.env_cfg)]))
     console.print(
@@ -217,8 +220,10 @@ def run_or_read(
     write_trials(folder / "trials.csv", trials, conditions)
     remove_trials(folder / "trials.partial.csv")
     shutil.rmtree(folder / "rounds", ignore_errors=True)
-    result = result_of(battery, candidate.label, candidate.robot, trials, background, known)
-    write_results(result, folder, console)
+    result = result_of(
+        battery, candidate.label, candidate.robot, trials, background, known, **plain
+    )
+    write_results(result, folder, console, shell)
     return result
 
 

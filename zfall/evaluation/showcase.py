@@ -13,20 +13,22 @@ from torch import Tensor
 
 from zfall.commands import shell_line, shown_path
 from zfall.envs.tables import robot_of
-from zfall.envs.terms.falls import body_contact
 from zfall.evaluation.baselines import passive
 from zfall.evaluation.battery import battery_env, play, run_battery
+from zfall.evaluation.captions import Pushed, PushLog
 from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.endings import Endings
+from zfall.evaluation.followers import followers_of
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.kinds.planar import success_by_size
 from zfall.evaluation.pendulum import references
-from zfall.evaluation.play import said
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.report import write_report
 from zfall.evaluation.run_files import read_table
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.video import Outcomes, film, frame
 from zfall.evaluation.writers import write_summary
+from zfall.terminal import print_sheet
 
 SIDES = {
     "from behind": 0.0,
@@ -89,7 +91,7 @@ def show(
     title = f"share recovered, short {battery.name}"
     lines = references(robot_of(cfg.env), battery.durations[0])
     success_map(after, plots / f"{battery.name}.png", title=title, baseline=baseline, lines=lines)
-    console.print(success_by_size(summaries))
+    print_sheet(success_by_size(summaries), console)
     if cfg.showcase.video:
         with console.status("video"):
             video(battery, cfg.env, actor, folder / "video.mp4", console)
@@ -118,7 +120,7 @@ def video(
             base.camera.model,
             {name: each.states[:, shown] for name, each in recorded.items()},
             [f"pushed {side}" for side in FILMED],
-            recorded["trained"].forces[:, shown],
+            recorded["trained"].pushed.of(shown),
             path,
             dt=frame(base),
             outcomes={name: [each.outcomes[i] for i in shown] for name, each in recorded.items()},
@@ -134,12 +136,12 @@ class Recorded:
 
     Attributes:
         states: positions ``(T, 4, nq)`` in MuJoCo's order.
-        forces: means from state to state ``(T, 4, 3)`` [N; world].
+        pushed: what pushes them, from state to state.
         outcomes: what came of each.
     """
 
     states: NDArray[np.float64]
-    forces: NDArray[np.float32]
+    pushed: Pushed
     outcomes: list[Outcomes]
 
 
@@ -158,20 +160,17 @@ def record(
         push.plan[index] = force * torch.tensor([math.cos(heading), math.sin(heading), 0.0])
     push.time[:] = battery.push_time
     start = max(0, round((battery.push_time - 0.6) / base.control_dt))
-    qpos, forces = [], []
+    qpos, ends = [], []
     every = round(frame(base) / base.control_dt)
-    recent: list[np.ndarray] = []
-    fall_time = torch.full((len(SIDES),), torch.nan)
+    endings, log = Endings(base, followers_of(battery)), PushLog(len(SIDES))
     steps = start + round(LENGTH / base.control_dt)
     for step, td in enumerate(play(env, actor, steps), start=-start):
-        down = body_contact(td, td)[: len(SIDES), 0] & fall_time.isnan()
-        fall_time[down] = (step + 1) * base.control_dt
+        endings.update(td, (step + 1) * base.control_dt)
         if step < 0:
             continue
-        recent.append(td["push", "force"][: len(SIDES)].numpy().copy())
+        log.add(td)
         if step % every == 0:
             qpos.append(base.simulation.qpos[: len(SIDES)].numpy().copy())
-            forces.append(np.mean(recent, axis=0))
-            recent = []
-    outcomes = [said(float(time), LENGTH) for time in fall_time]
-    return Recorded(np.stack(qpos), np.stack(forces), outcomes)
+            ends.append(step + 1)
+    outcomes = [endings.said(world, LENGTH, task=False) for world in range(len(SIDES))]
+    return Recorded(np.stack(qpos), log.frames(ends), outcomes)

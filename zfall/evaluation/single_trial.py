@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import battery_env, run_battery
 from zfall.evaluation.candidate import Candidate
+from zfall.evaluation.captions import PushLog
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.followers import outcome_names
 from zfall.evaluation.plans import Pushes, plan_pushes
@@ -32,7 +33,7 @@ class Replay:
             joint, as ``target/JOINT``, after every control step.
         pushes: begin and end of each push [s].
         states: positions ``(T, 1, nq)`` in MuJoCo's order.
-        forces: mean force of the push over each step ``(T, 1, 3)`` [N; world].
+        log: what pushed it, step by step.
         env: its base env.
     """
 
@@ -40,7 +41,7 @@ class Replay:
     traces: pd.DataFrame
     pushes: list[tuple[float, float]]
     states: NDArray[np.float64]
-    forces: NDArray[np.float32]
+    log: PushLog
     env: HumanoidEnv
 
 
@@ -110,16 +111,15 @@ def run_trial(
         ValueError: if there is no such trial or joint.
     """
     states: list[NDArray[np.float64]] = []
-    forces: list[NDArray[np.float32]] = []
     signals: list[NDArray[np.float32]] = []
     env = battery_env(battery, candidate.env_cfg, 1)[0].base_env
-    joints = env.robot.joints
+    joints, log = env.robot.joints, PushLog(1)
     if joint not in joints:
         raise ValueError(f"joint must be one of {', '.join(joints)}, got {joint}.")
 
     def watch(base: HumanoidEnv, td: TensorDictBase) -> None:
         states.append(base.simulation.qpos[:1].numpy().copy())
-        forces.append(td["push", "force"][:1].numpy().copy())
+        log.add(td)
         keys = ("target", "joint_position", "joint_torque")
         signals.append(np.concatenate([td[key][0].numpy() for key in keys]))
 
@@ -136,7 +136,7 @@ def run_trial(
     traces = pd.DataFrame(np.stack(signals), columns=names)
     traces.insert(0, "time_s", env.control_dt * (1 + np.arange(len(traces))))
     pushes = _times(plan_pushes(battery, pd.DataFrame([row])), traces["time_s"].iloc[-1])
-    return Replay(row, traces, pushes, np.stack(states), np.stack(forces), env)
+    return Replay(row, traces, pushes, np.stack(states), log, env)
 
 
 def _times(pushes: Pushes, end: float) -> list[tuple[float, float]]:
@@ -147,13 +147,13 @@ def _times(pushes: Pushes, end: float) -> list[tuple[float, float]]:
 
 
 def _film(replay: Replay, label: str, outcome: str, path: Path, console: Console) -> None:
-    column = f"I = {replay.row['impulse']:.2g}"
+    column = f"I = {replay.row['impulse']:.3g}"
     if np.isfinite(replay.row["direction_rad"]):
         column += f", toward {np.degrees(replay.row['direction_rad']):.0f} degrees"
     env, length = replay.env, float(replay.traces["time_s"].iloc[-1])
     every = round(frame(env) / env.control_dt)
     count = len(replay.states) // every
-    forces = replay.forces[: count * every].reshape(count, every, 1, 3).mean(1)
+    pushed = replay.log.frames([every * (k + 1) for k in range(count)])
     begin = max(0.0, length - 1.5)
     if outcome == "fell" and np.isfinite(fall := float(replay.row["time_to_fall_s"])):
         begin = replay.pushes[0][0] + fall if replay.pushes else fall
@@ -163,7 +163,7 @@ def _film(replay: Replay, label: str, outcome: str, path: Path, console: Console
             env.camera.model,
             {label: replay.states[every - 1 :: every]},
             [column],
-            forces,
+            pushed,
             path,
             dt=frame(env),
             outcomes={label: [[said]]},

@@ -160,10 +160,8 @@ def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
     control = trials[trials["recovered"] & (trials["impulse"] == 0)]
     counted = trials[trials["recovered"] & (trials["impulse"] > 0)].copy()
     if known:
-        for name, (column, bound) in AMOUNTS.items():
-            usual = _usual(control[column].to_numpy())
-            more = (counted[column] > max(bound, usual)).astype(float)
-            counted[name] = more if len(control) else np.nan
+        for name, more in beyond_usual(trials, counted).items():
+            counted[name] = more
         counted["ankle"] = counted["strategy/ankle"]
         beyond = counted[list(AMOUNTS)].sum(axis=1)
         counted["as_usual"] = (beyond == 0).astype(float) if len(control) else np.nan
@@ -182,6 +180,22 @@ def strategy_table(trials: pd.DataFrame) -> pd.DataFrame:
     alone = alone.rename(lambda name: str(name).removeprefix("strategy/"))
     first = pd.DataFrame([{"side": "no push", "impulse": 0.0, "recovered": len(control), **alone}])
     return pd.concat([first, pushed], ignore_index=True)[["side", "impulse", "recovered", *names]]
+
+
+def beyond_usual(trials: pd.DataFrame, counted: pd.DataFrame) -> dict[str, pd.Series]:
+    """Which trials used more of each strategy than its bound and than usual, 1 or 0.
+
+    Args:
+        trials: all of a battery; what is usual is that of the recovered ones without a push. If
+            there is none, nothing is known: NaN.
+        counted: those that are looked at.
+    """
+    control = trials[trials["recovered"] & (trials["impulse"] == 0)]
+    found = {}
+    for name, (column, bound) in AMOUNTS.items():
+        more = counted[column] > max(bound, _usual(control[column].to_numpy()))
+        found[name] = more.astype(float) if len(control) else more.astype(float) * np.nan
+    return found
 
 
 def _usual(amounts: NDArray[np.float64]) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rendering import make_renderer, place
-from zfall.evaluation.captions import MARKED, Mark, outcome_at, push_marks, write_on
+from zfall.evaluation.captions import MARKED, Mark, Pushed, outcome_at, push_marks, write_on
 
 RATE = 25.0  # least pictures per second
 Outcomes = Sequence[tuple[float, str, bool]]  # time [s], words, whether it is good
@@ -22,7 +22,7 @@ def film(
     model: mujoco.MjModel,
     rows: dict[str, NDArray[np.float64]],
     columns: list[str],
-    forces: NDArray[np.floating],
+    pushed: Pushed,
     path: Path,
     *,
     dt: float,
@@ -41,7 +41,7 @@ def film(
         model: of what is shown, as ``env.camera.model``.
         rows: by name of the policy, positions ``(T, columns, nq)`` in MuJoCo's order.
         columns: name of each column's push.
-        forces: mean force over each step ``(T, columns, 3)`` [N; world].
+        pushed: what pushes each column, over the T times.
         path: file to write.
         dt: time between two states [s].
         tile: width and height of one picture [pixels].
@@ -62,13 +62,13 @@ def film(
     option.sitegroup[:] = 0
     data = mujoco.MjData(model)
     marks = {
-        (name, c): push_marks(forces[:, c], _headings(states[:, c]), dt)
+        (name, c): push_marks(pushed, c, _headings(states[:, c]), dt)
         for name, states in rows.items()
         for c in range(len(columns))
     }
     pace = f"  x{slow:g}" if slow < 1 else ""
     writer: Any
-    total = len(forces) * copies
+    total = len(pushed.force) * copies
     with imageio.get_writer(path, fps=copies * slow / dt, macro_block_size=8, quality=8) as writer:
         for picture in follow(range(total), total):
             t, share = divmod(picture, copies)

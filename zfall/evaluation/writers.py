@@ -1,4 +1,4 @@
-"""Files of results: summaries in JSON, tables in csv and Markdown, figures in all formats."""
+"""Files of results: summaries in JSON, tables for readers and programs, figures."""
 
 import json
 import math
@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.table import Table
+
+from zfall.evaluation.latex import latex_of
+from zfall.terminal import Sheet, text_of
 
 FORMATS = ("png", "pdf")
 
@@ -23,7 +25,7 @@ class Written:
     """
 
     files: list[str] = field(default_factory=list)
-    shown: list[str | Table] = field(default_factory=list)
+    shown: list[str | Sheet] = field(default_factory=list)
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
@@ -47,14 +49,15 @@ def write_figures(folder: Path, name: str, draw: Callable[[Path], None]) -> list
 
 
 def write_table(folder: Path, name: str, rows: pd.DataFrame) -> list[str]:
-    """Writes a table as csv, which the report shows, and Markdown; returns the files' names."""
+    """Writes a table as csv, which the report shows, Markdown and LaTeX; returns their names."""
     rows.to_csv(folder / f"{name}.csv", index=False)
     (folder / f"{name}.md").write_text(markdown(rows))
-    return [f"{name}.csv", f"{name}.md"]
+    (folder / f"{name}.tex").write_text(latex_of(rows))
+    return [f"{name}.{ending}" for ending in ("csv", "md", "tex")]
 
 
 def markdown(rows: pd.DataFrame) -> str:
     """A table in Markdown, numbers with three digits."""
-    cells = rows.map(lambda value: f"{value:.3g}" if isinstance(value, float) else str(value))
+    cells = rows.map(text_of)
     lines = [list(rows.columns), ["---"] * rows.shape[1], *cells.to_numpy().tolist()]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

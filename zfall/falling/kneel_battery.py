@@ -14,7 +14,7 @@ from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, cells, numbered, single_pushes
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head
-from zfall.evaluation.writers import Written, markdown, write_table
+from zfall.evaluation.writers import Written, write_table
 from zfall.falling.kneel_outcomes import (
     PEAKS,
     compare_falls,
@@ -22,6 +22,7 @@ from zfall.falling.kneel_outcomes import (
     summarize_kneel,
     torso_or_head,
 )
+from zfall.terminal import Sheet
 
 SMALL = 0.55  # pushes of the list up to it are to be recovered from
 LARGE = 1.5  # up to it, they are to end in a kneel
@@ -48,7 +49,7 @@ class Kneel:
 
     def check(self, battery: Battery) -> None:
         """One push point and duration, and no random pushes."""
-        check_unused(battery, "resolution", "interval")
+        check_unused(battery, "resolution", "interval", "commands")
         check_single(battery, "duration", "point")
 
     def plan(self, battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
@@ -85,7 +86,10 @@ class Kneel:
         means = ", ".join(f"{k} {v:.3g}" for k, v in values.items() if v is not None)
         return Written(
             write_table(folder, "outcomes", rows),
-            [markdown(rows), f"means over {summary['grid_falls']} falls: {means}"],
+            [
+                Sheet(rows, file=str(folder / "outcomes.csv")),
+                f"means over {summary['grid_falls']} falls: {means}",
+            ],
         )
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:

@@ -129,6 +129,12 @@ class CAPSLoss(LossModule):
         near["observation"] = self._neighbour(tensordict)
         return borrow_memory(near)
 
+    def counts(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """Pairs of which ``loss_temporal`` of sequences is the mean."""
+        if not self.recurrent:
+            return {}
+        return {"loss_temporal": (~tensordict["is_init"][:, 1:, 0]).sum()}
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Both losses of a batch."""
         mu = None if self.on_actions else tensordict.get("deterministic_action", None)
@@ -182,7 +188,7 @@ class CAPSLoss(LossModule):
         if self.neighbour_key is not None:
             return batch[self.neighbour_key]
         observation = batch["observation"]
-        noise = torch.randn_like(observation) * self.sigma
+        noise = torch.randn_like(observation) * self.sigma.to(observation.device)
         return observation + (noise if self.normalizer is None else noise * self.normalizer.scale)
 
 

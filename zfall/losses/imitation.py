@@ -95,6 +95,6 @@ class ImitationLoss(LossModule):
                 mu = self.actor_network.get_dist(seen).deterministic_sample
         shown = TensorDict({"observation": tensordict[self.sees]}, tensordict.shape)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            target = self._teacher[0](shown)["action"]
+            target = self._teacher[0].to(mu.device)(shown)["action"]
         error = (mu - target).square().sum(-1).mean()
         return TensorDict({"loss_imitation": self.weight * error})

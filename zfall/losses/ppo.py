@@ -1,5 +1,6 @@
 """Proximal policy optimisation with what RLlib's has beside the clipping."""
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
@@ -63,6 +64,10 @@ class PenalizedPPOLoss(ClipPPOLoss):
 
     kl_coeff: Tensor
     out_keys: list[str]
+    # Of several parts of a batch, each seen by a loss of its own: figures that are no means of
+    # samples, what is made of the sums that ``gives_sums`` writes in their place, and maxima.
+    gives_sums = False
+    largest = ("max_ratio",)
 
     def __init__(
         self,
@@ -111,10 +116,25 @@ class PenalizedPPOLoss(ClipPPOLoss):
             drawn = (~mirrored).unsqueeze(-1)
             divergence = (divergence * drawn).sum() / drawn.sum().clamp_min(1)
         out.set("kl", divergence.detach())
+        if self.gives_sums:
+            out.set("ESS", _sums_of(log_ratio.detach().exp().squeeze(-1)))
         if self.penalized:
             out.set("loss_kl", self.kl_coeff * divergence)
             out.set("kl_coeff", self.kl_coeff.clone())
         return out
+
+    @property
+    def summed(self) -> dict[str, Callable[[Tensor], Tensor]]:
+        """Figures by name, and what makes them of their sums over all samples."""
+        return {"ESS": _effective_share, "explained_variance": _explained_variance}
+
+    def counts(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """Samples of which the divergence is the mean, if those are not all."""
+        mirrored = tensordict.get("mirrored", None)
+        if mirrored is None:
+            return {}
+        drawn = (~mirrored).sum()
+        return {"kl": drawn, "loss_kl": drawn} if self.penalized else {"kl": drawn}
 
     def adapt(self, divergence: float) -> None:
         """Moves the weight of the penalty after an update that had so much of divergence."""
@@ -133,6 +153,10 @@ class PenalizedPPOLoss(ClipPPOLoss):
         loss, *figures = super().loss_critic(tensordict)
         if self.value_error_clip is not None:
             loss = loss.clamp(max=self.critic_coeff * self.value_error_clip)
+        if self.gives_sums and figures[-1] is not None:
+            target = tensordict[self.tensor_keys.value_target].detach()
+            error = target - tensordict[self.tensor_keys.value].detach()  # as the critic wrote it
+            figures[-1] = torch.stack([_sums_of(target), _sums_of(error)])
         return loss, *figures
 
     def _set_in_keys(self) -> None:
@@ -154,3 +178,24 @@ class PenalizedPPOLoss(ClipPPOLoss):
     ) -> tuple[Tensor, Any, bool]:
         """TorchRL's place to run the actor, which has run by then."""
         return tensordict[_LOG_PROB], kept_policy(tensordict), False
+
+
+def _sums_of(values: Tensor) -> Tensor:
+    """Number of rows, sum and sum of squares over rows ``(3, ...)`` of values ``(n, ...)``."""
+    exact = values.double()
+    return torch.stack([torch.ones_like(exact), exact, exact.square()], 0).sum(1)
+
+
+def _effective_share(sums: Tensor) -> Tensor:
+    """Effective sample size as a share of all, from ``_sums_of`` ratios."""
+    number, total, squares = sums
+    return total.square() / squares / number
+
+
+def _explained_variance(sums: Tensor) -> Tensor:
+    """Share of the targets' variance that values explain, from ``_sums_of`` targets and errors."""
+    (number, *target), (_, *error) = sums
+    of_target, of_error = (
+        squares / number - (total / number).square() for total, squares in (target, error)
+    )
+    return 1.0 - of_error / (of_target + torch.finfo(torch.float32).eps)

@@ -153,7 +153,7 @@ class SymmetryAugmentation(nn.Module):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A new minibatch ``(B, ...)`` or ``(N, T, ...)``, mirrored in part."""
-        rows = torch.rand(len(tensordict)) < self.share
+        rows = torch.rand(len(tensordict)).to(tensordict[self._keys[0]].device) < self.share
         out = tensordict.copy()
         out["mirrored"] = rows.reshape(-1, *[1] * (tensordict.dim() - 1)).expand(tensordict.shape)
         for key, mirror in zip(self._keys, self.mirrors.values(), strict=True):

@@ -1,7 +1,29 @@
 """Running normalisation of observations, kept with the policy."""
 
+from collections.abc import Callable, Iterable
+
 import torch
 from torch import Tensor, nn
+
+Moments = tuple[int, Tensor, Tensor]  # number of rows, their mean and variance (D,)
+
+
+def moments_of(rows: Tensor) -> Moments:
+    """Number, mean and variance of rows ``(n, D)``, the mean of squares about the mean."""
+    return len(rows), rows.mean(0), rows.var(0, unbiased=False)
+
+
+def merged_moments(parts: Iterable[Moments]) -> Moments:
+    """Those of the rows of all parts, one after the other (Chan et al. 1983)."""
+    first, *others = parts
+    count, mean, variance = first
+    for more, other_mean, other_variance in others:
+        share = more / max(1, count + more)
+        change = other_mean - mean
+        variance = (1 - share) * variance + share * other_variance
+        variance = variance + share * (1 - share) * change.square()
+        mean, count = mean + share * change, count + more
+    return count, mean, variance
 
 
 class ObservationNormalizer(nn.Module):
@@ -38,10 +60,16 @@ class ObservationNormalizer(nn.Module):
         return (self.variance + 1e-6).sqrt()
 
     @torch.no_grad()
-    def update(self, observation: Tensor) -> None:
-        """Adds a batch ``(*B, D)`` to the statistics (Chan et al. 1983, parallel variance)."""
-        flat = observation.reshape(-1, len(self.mean)).double()
-        count, mean, variance = len(flat), flat.mean(0), flat.var(0, unbiased=False)
+    def update(
+        self, observation: Tensor, moments: Callable[[Tensor], Moments] = moments_of
+    ) -> None:
+        """Adds a batch ``(*B, D)`` to the statistics (Chan et al. 1983, parallel variance).
+
+        Args:
+            observation: of the batch.
+            moments: gives those of its rows, or of more of which these are a part.
+        """
+        count, mean, variance = moments(observation.reshape(-1, len(self.mean)).double())
         total = self.count + count
         share = count / total
         change = mean - self.mean

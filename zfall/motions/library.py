@@ -231,4 +231,7 @@ def _made(robot: Robot) -> dict[str, Motion]:
     for name, gait in gaits_of(robot).items():
         with suppress(ValueError):  # its legs are too short, or have other joints
             motions |= make_motions(robot, {name: gait})
-    return motions
+    return {
+        name: Motion(period, {key: each.astype(np.float32) for key, each in states.items()})
+        for name, (period, states) in motions.items()
+    }

@@ -1,6 +1,6 @@
 """Policies from run folders and those that ship."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -15,10 +15,14 @@ from torchrl.modules.utils import get_primers_from_module
 from zfall import checkpoint as checkpoints
 from zfall.envs.tables import changed, check_same_interface, robot_of
 from zfall.modules.actors import recurrent_keys
+from zfall.policies.foreign import read_foreign
 from zfall.simulation.model import identity_of
 from zfall.trust import trusting
 
 POLICIES = Path(str(files("zfall"))) / "policies"  # that ship with the package
+# Who reads a policy that is a file of its own, by the ending of its name: actor and config.
+Reader = Callable[[Path, Sequence[str]], tuple[torch.nn.Module, DictConfig]]
+READERS: Mapping[str, Reader] = {".yaml": read_foreign, ".yml": read_foreign}
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class Policy:
     """A trained policy and the task it was trained in.
 
     Attributes:
-        name: a run folder, or the name of a policy that ships.
+        name: a run folder, the name of a policy that ships, or a yaml.
         actor: reads ``observation`` ``(*B, D)`` and hidden states, writes ``action`` ``(*B, J)``.
         config: of its training: ``env``, ``actor`` and the rest, with what ``changes`` replaced.
         card: what is known of it, in Markdown; empty of a run folder.
@@ -60,7 +64,8 @@ def load_policy(
     """A policy by its name: ``load_policy("best")``, or of a run folder.
 
     Args:
-        run: a run folder, or the name of a policy that ships.
+        run: a run folder, the name of a policy that ships, or the yaml of one of another
+            framework, see ``zfall.policies.foreign``.
         checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         changes: values of its env to replace, ``["transforms.mode.angle=0.4"]``.
         trust: modules of one's own that its config may name, ``["my_terms"]``; their code is run.
@@ -71,18 +76,23 @@ def load_policy(
     """
     path = checkpoint_of(str(run), checkpoint)
     with trusting(trust):
-        content = checkpoints.load(path)
-    config = OmegaConf.create(content["config"])
-    config.env = changed(config.env, changes)
+        actor, config = READERS.get(path.suffix, _read_checkpoint)(path, changes)
     card = path.with_suffix(".md")
     text = card.read_text() if path.parent == POLICIES and card.is_file() else ""
-    return Policy(str(run), policy_of(content, config.env, path), config, text)
+    return Policy(str(run), actor, config, text)
+
+
+def _read_checkpoint(path: Path, changes: Sequence[str]) -> tuple[torch.nn.Module, DictConfig]:
+    content = checkpoints.load(path)
+    config = OmegaConf.create(content["config"])
+    config.env = changed(config.env, changes)
+    return policy_of(content, config.env, path), config
 
 
 def checkpoint_of(
     run: str, name: str = "last", *, key: str = "run", others: Sequence[str] = ()
 ) -> Path:
-    """The file of a run folder's policy, or of one that ships.
+    """The file of a run folder's policy, of one that ships, or of one that is a file of its own.
 
     Args:
         run: the folder, or the name of the policy.
@@ -96,14 +106,17 @@ def checkpoint_of(
     if not isinstance(run, str):
         raise ValueError(f"{key} must be the name of one folder or policy, got {run}.")
     path, names = shipped(run), ["last", "best"]
-    if path.exists():
+    own = Path(run)
+    path = own if own.suffix in READERS and own.is_file() else path
+    if path.is_file():
         _check_named(name, names, run)
         return path
     if not Path(run).is_dir():
         ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
+        what = "file" if own.suffix in READERS else "folder"
         raise ValueError(
             f"{key} must be a run folder, or one of {', '.join((*others, *ship))}; "
-            f"there is no folder {run}."
+            f"there is no {what} {run}."
         )
     check_holds_run(Path(run), key)
     stages = {file.stem for file in Path(run).glob("checkpoints/*.pt")} - {*names}

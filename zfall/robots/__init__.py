@@ -1,7 +1,7 @@
 """Robots as data: an MJCF, what it cannot say, and the robot that ships."""
 
 from zfall.robots.ball import Ball
-from zfall.robots.completion import bare_model, load_spec
+from zfall.robots.completion import bare_model, full_spec
 from zfall.robots.kneels import KneelSearch
 from zfall.robots.robot import GRAVITY, PushPoint, Robot
 from zfall.robots.zeroth01 import ZEROTH01
@@ -9,4 +9,4 @@ from zfall.robots.zeroth01 import ZEROTH01
 DEFAULT = ZEROTH01  # what an env has that names no robot
 
 __all__ = ["DEFAULT", "GRAVITY", "ZEROTH01", "Ball", "KneelSearch", "PushPoint", "Robot",
-           "bare_model", "load_spec"]  # fmt: skip
+           "bare_model", "full_spec"]  # fmt: skip

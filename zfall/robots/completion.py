@@ -56,7 +56,7 @@ def speaks_our_names(spec: mujoco.MjSpec) -> bool:
     return any(sensor.name == "com_position" for sensor in spec.sensors)
 
 
-def load_spec(robot: "Robot") -> mujoco.MjSpec:
+def full_spec(robot: "Robot") -> mujoco.MjSpec:
     """The spec of a robot, with all that the env needs.
 
     Raises:
@@ -72,9 +72,9 @@ def bare_model(robot: "Robot") -> mujoco.MjModel:
     """The compiled model of a robot alone.
 
     Raises:
-        ValueError: as ``load_spec``.
+        ValueError: as ``full_spec``.
     """
-    return compile_spec(load_spec(robot), robot.mjcf)
+    return compile_spec(full_spec(robot), robot.mjcf)
 
 
 def complete(spec: mujoco.MjSpec, robot: "Robot", add: Additions) -> None:
@@ -91,6 +91,17 @@ def complete(spec: mujoco.MjSpec, robot: "Robot", add: Additions) -> None:
 
 
 def _add_floor(spec: mujoco.MjSpec) -> None:
+    skies = (t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in spec.textures)
+    if not any(skies):
+        spec.add_texture(
+            name="zfall/sky",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.93, 0.95, 0.98],
+            rgb2=[0.72, 0.78, 0.86],
+            width=16,
+            height=96,
+        )
     planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
     if not planes:
         spec.add_texture(
@@ -123,7 +134,7 @@ def _add_camera(spec: mujoco.MjSpec, add: Additions) -> None:
         return
     camera = spec.body(add.root).add_camera(name="track")
     camera.mode = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    camera.pos = list(np.array([3.1, -3.4, 1.1]) * add.height)
+    camera.pos = list(np.array([2.5, -2.7, 0.7]) * add.height)
     axes = np.array([[0.741, 0.671, 0.0], [-0.14, 0.155, 0.978]])
     right, up = axes[0] / np.linalg.norm(axes[0]), axes[1] / np.linalg.norm(axes[1])
     quaternion = np.zeros(4)

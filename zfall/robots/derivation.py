@@ -27,6 +27,7 @@ GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
 SETTLING = 20.0  # time for which the servos must hold the reference pose, in units of sqrt(h0 / g)
 FALLEN, LEANS = 0.8, 0.35  # share of the height, and tilt [rad], beyond which they do not
 _DT = 0.002  # of the settling, or the MJCF's own if that is shorter [s]
+_NUDGE = 0.02  # speed forward and to the left with which it begins, in units of sqrt(g h0)
 _UNEQUAL = 0.1  # share by which the soles may differ in size
 
 
@@ -133,6 +134,7 @@ def settled_height(model: mujoco.MjModel) -> float:
     mujoco.mj_resetDataKeyframe(model, data, model.key(STAND).id)
     mujoco.mj_forward(model, data)
     first = float(data.subtree_com[1, 2])
+    data.qvel[:2] = _NUDGE * (GRAVITY * max(first, 1e-3)) ** 0.5  # what only balances falls then
     seconds = SETTLING * (max(first, 1e-3) / GRAVITY) ** 0.5
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)

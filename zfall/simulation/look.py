@@ -6,7 +6,7 @@ What is stepped is never touched: the look is added to a copy that only renderer
 import mujoco
 import numpy as np
 
-from zfall.robots import Robot
+from zfall.robots import DEFAULT, Robot
 
 HIDDEN = 3  # group of the geoms that collide; MuJoCo draws 0 to 2 unless it must draw more
 SUN = (0.6, -1.0, 2.4)  # from the center of mass to the light [m]
@@ -26,7 +26,7 @@ def dress(spec: mujoco.MjSpec, robot: Robot) -> None:
     Raises:
         ValueError: if the look has a body that is no link of the robot.
     """
-    _light(spec)
+    _light(spec, robot.com_height / DEFAULT.com_height)
     if robot.look is None:
         return
     look = mujoco.MjSpec.from_file(robot.look)
@@ -52,7 +52,7 @@ def dress(spec: mujoco.MjSpec, robot: Robot) -> None:
         frame.attach_body(look.body(name), "look/", "")
 
 
-def _light(spec: mujoco.MjSpec) -> None:
+def _light(spec: mujoco.MjSpec, size: float) -> None:
     """A light that follows the robot and casts its shadow, a pale floor, and a bright sky."""
     whole, head = spec.visual.global_, spec.visual.headlight
     whole.offwidth, whole.offheight = 1920, 1080
@@ -64,7 +64,8 @@ def _light(spec: mujoco.MjSpec) -> None:
         sun.active = False
     sun = spec.worldbody.first_body().add_light(name="look/sun", castshadow=True)
     sun.type, sun.mode = mujoco.mjtLightType.mjLIGHT_SPOT, mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    sun.pos, sun.dir, sun.cutoff, sun.exponent = SUN, -np.array(SUN), 60.0, 2.0
+    sun.pos, sun.dir = size * np.array(SUN), -np.array(SUN)
+    sun.cutoff, sun.exponent = 60.0, 2.0
     sun.diffuse, sun.specular, sun.ambient = [0.62] * 3, [0.3] * 3, [0.0] * 3
     for texture in spec.textures:
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:

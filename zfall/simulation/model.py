@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from zfall.robots import Ball, PushPoint, Robot, bare_model, load_spec
+from zfall.robots import Ball, PushPoint, Robot, bare_model, full_spec
 from zfall.robots.declared import check_declared
 from zfall.robots.servos import Servo
 from zfall.simulation.look import dress
@@ -42,10 +42,9 @@ def compile_model(
         ValueError: as ``model_spec``.
     """
     spec = model_spec(
-        robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos
+        robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos, look=look
     )
     if look:
-        spec.compiler.discardvisual = False
         dress(spec, robot)
     model = spec.compile()
     if not powered:
@@ -60,6 +59,7 @@ def model_spec(
     push_points: dict[str, PushPoint] | None = None,
     ball: Ball | None = None,
     servos: Mapping[str, Servo] | None = None,
+    look: bool = False,
 ) -> mujoco.MjSpec:
     """The robot's MJCF with a massless body welded to each push point.
 
@@ -73,13 +73,16 @@ def model_spec(
         push_points: points in addition to those of the robot, by name.
         ball: a free ball next to the robot, parked out of reach.
         servos: by joint, in place of the MJCF's actuators; those as they are if ``None``.
+        look: whether to keep what an MJCF has for pictures alone.
 
     Raises:
         ValueError: if the MJCF lacks a joint, an actuator or a sensor that the env needs, or is
             another than the robot declares, a push point names a link that does not exist, a joint
             has no servo, or a servo lacks a value.
     """
-    spec = load_spec(robot)
+    spec = full_spec(robot)
+    if look:  # before it is compiled, which takes out what is left out
+        spec.compiler.discardvisual = False
     spec.option.timestep = physics_dt
     _check(spec, robot)
     check_declared(robot)
@@ -146,6 +149,12 @@ def actuator_order(model: mujoco.MjModel, robot: Robot) -> slice | Tensor:
     """Joints in the order of the model's actuators; all as they are if it is the same."""
     order = [robot.joints.index(model.actuator(i).name) for i in range(model.nu)]
     return slice(None) if order == sorted(order) else torch.tensor(order)
+
+
+def base_center_of_mass(model: mujoco.MjModel) -> Tensor:
+    """Center of mass of the link that moves freely, in its own axes ``(3,)`` float32 [m]."""
+    free = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).nonzero()[0]
+    return torch.from_numpy(model.body_ipos[model.jnt_bodyid[free[0]]]).float()
 
 
 def push_point_bodies(model: mujoco.MjModel) -> dict[str, int]:

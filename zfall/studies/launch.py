@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress, TextColumn
+from rich.table import Column
 
 from zfall.studies.plan import Run
 from zfall.studies.store import Store
+from zfall.terminal import progress_bar
 
 if TYPE_CHECKING:
     from zfall.studies.study import Study
@@ -23,11 +25,8 @@ if TYPE_CHECKING:
 @contextmanager
 def progress_of(study: "Study", store: Store, console: Console) -> Iterator[None]:
     """Shows how many frames of the study are trained, whatever process trains them."""
-    columns = (TextColumn("{task.completed}/{task.total} M frames"), TimeElapsedColumn())
-    left = (TextColumn("left"), TimeRemainingColumn())
-    with Progress(
-        TextColumn(f"study {study.name}"), BarColumn(), *columns, *left, console=console
-    ) as bar:
+    count = TextColumn("{task.completed}/{task.total} M frames", table_column=Column(no_wrap=True))
+    with progress_bar(console, count) as bar:
         done = threading.Event()
         # Paths and numbers alone: a config that one thread copies cannot be read in another.
         folders = [[store.run_folder(each) for each in run.trainings] for run in study.plan]
@@ -36,7 +35,7 @@ def progress_of(study: "Study", store: Store, console: Console) -> Iterator[None
             for run, own in zip(study.plan, folders, strict=True)
             for each, folder in zip(run.trainings, own, strict=True)
         }
-        given = (bar, study.plan, folders, frames, store, done)
+        given = (bar, study.name, study.plan, folders, frames, store, done)
         follower = threading.Thread(target=follow, args=given)
         follower.start()
         try:
@@ -48,6 +47,7 @@ def progress_of(study: "Study", store: Store, console: Console) -> Iterator[None
 
 def follow(
     bar: Progress,
+    name: str,
     runs: Sequence[Run],
     folders: Sequence[Sequence[Path]],
     frames: Mapping[Path, int],
@@ -58,13 +58,14 @@ def follow(
 
     Args:
         bar: shows millions of frames.
+        name: of the study.
         runs: of the study.
         folders: of the trainings of each run.
         frames: to be trained in each folder.
         store: has the results.
         done: ends it.
     """
-    task = bar.add_task("study", total=round(sum(frames.values()) / 1e6, 2))
+    task = bar.add_task(f"study {name}", total=round(sum(frames.values()) / 1e6, 2))
     while not done.wait(2.0):
         pairs = zip(runs, folders, strict=True)
         needed = {folder for run, own in pairs if store.unfinished(run) for folder in own}

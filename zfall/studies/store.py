@@ -26,7 +26,7 @@ from zfall.files import written_whole
 from zfall.fingerprints import digest
 from zfall.meaning import differences, meaning, strict
 from zfall.studies.inputs import combined, training_digest
-from zfall.studies.versions import versions
+from zfall.versions import versions
 
 if TYPE_CHECKING:
     from zfall.studies.plan import Run, Test

@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
+from rich.console import Console
 
 from zfall.evaluation.kinds import Figures, kind_of
+from zfall.evaluation.latex import LatexCell, latex_tables
 from zfall.evaluation.plots import learning_bands
 from zfall.files import written_whole
 from zfall.studies.plan import Run, battery_of
 from zfall.studies.store import Store
-from zfall.studies.tables import Cell, Rows, arranged, tables_of
+from zfall.studies.tables import Cell, Rows, Table, arranged, tables_of
+from zfall.terminal import Sheet, print_sheet
 
 if TYPE_CHECKING:
     from zfall.studies.study import Study
@@ -113,42 +116,71 @@ def as_markdown(rows: Rows, missing: Mapping[str, str], figures: Figures) -> str
     head = ["", *(heading for heading, _ in figures.values())]
     lines = [head, ["---"] * len(head)]
     for name, cells in rows.items():
-        lines.append(
-            [name, *(_text(cell, figures[key][1], "**{}**") for key, cell in cells.items())]
-        )
+        lines.append([name, *(_text(cell, figures[key][1]) for key, cell in cells.items())])
     lines += [[name, why, *[""] * (len(head) - 2)] for name, why in missing.items()]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def as_latex(rows: Rows, missing: Mapping[str, str], figures: Figures) -> str:
-    """The table for LaTeX with booktabs."""
-    columns = "l" + "r" * len(figures)
-    head = " & ".join(["", *(heading for heading, _ in figures.values())])
-    body = []
-    for name, cells in rows.items():
-        texts = [_text(cell, figures[key][1], r"\textbf{{{}}}") for key, cell in cells.items()]
-        body.append(" & ".join([name, *texts]) + r" \\")
-    body += [
-        rf"{name} & \multicolumn{{{len(figures)}}}{{l}}{{{why}}} \\"
-        for name, why in missing.items()
+    """The table for LaTeX, as wide as a column: means, below them their intervals.
+
+    Bold is a mean whose paired difference to the first row excludes zero; these differences stand
+    in the csv and in Markdown.
+    """
+    body = [
+        [LatexCell(name), *(_latex_cell(cell, figures[key][1]) for key, cell in cells.items())]
+        for name, cells in rows.items()
     ]
-    lines = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", rf"{head} \\", r"\midrule"]
-    lines += [*body, r"\bottomrule", r"\end{tabular}", ""]
-    return "\n".join(lines).replace("%", r"\%").replace("_", r"\_")
+    body += [[LatexCell(name), LatexCell(why)] for name, why in missing.items()]
+    note = "% below: bootstrap 95 % interval over seeds; bold: differs from the first row\n"
+    return note + latex_tables(["", *(heading for heading, _ in figures.values())], body)
 
 
-def _text(cell: Cell, digits: int, bold: str) -> str:
-    """Mean, interval and difference; the latter ``bold``, a template, if it excludes zero."""
+def _latex_cell(cell: Cell, digits: int) -> LatexCell:
+    below = f"[{cell.low:.{digits}f}, {cell.high:.{digits}f}]" if cell.seeds > 1 else ""
+    return LatexCell(f"{cell.mean:.{digits}f}", below, _is_bold(cell, digits))
+
+
+def sheet_of(table: Table, figures: Figures, **given: str) -> Sheet:
+    """The table to print: means, below them their intervals, and ``*`` where LaTeX has bold."""
+    lines = []
+    for name, cells in table.rows.items():
+        texts = [name]
+        for key, cell in cells.items():
+            each = _latex_cell(cell, figures[key][1])
+            texts.append(f"{each.text}{'*' * each.bold}" + f"\n{each.below}" * bool(each.below))
+        lines.append(texts)
+    lines += [[name, why, *[""] * (len(figures) - 1)] for name, why in table.missing.items()]
+    head = ["", *(heading for heading, _ in figures.values())]
+    return Sheet(pd.DataFrame(lines, columns=head), **given)
+
+
+def print_tables(study: "Study", store: Store, console: Console) -> None:
+    """Prints the tables of a study, from stored results alone."""
+    figures, file = kind_of(battery_of(study)).study_figures, store.results / f"{study.name}.md"
+    for table in tables_of(study.plan, store, figures):
+        title = f"{study.name}, tested: {table.title}" if table.title else study.name
+        print_sheet(sheet_of(table, figures, title=title, file=str(file)), console)
+    console.print("in brackets 95 % intervals over seeds; * differs from the first row")
+
+
+def _text(cell: Cell, digits: int) -> str:
+    """Mean, interval and difference; the latter bold if it excludes zero."""
     out = f"{cell.mean:.{digits}f}"
     if cell.seeds > 1:  # one says nothing of the others
         out += f" [{cell.low:.{digits}f}, {cell.high:.{digits}f}]"
     if cell.difference is not None:
         mean, low, high = cell.difference
         change = f"{mean:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
-        if cell.distinct and float(f"{mean:.{digits}f}") != 0.0:
-            change = bold.format(change)
-        out += f"; {change}"
+        out += f"; **{change}**" if _is_bold(cell, digits) else f"; {change}"
     return out
+
+
+def _is_bold(cell: Cell, digits: int) -> bool:
+    """Whether its difference to the first row excludes zero, and is any in the digits shown."""
+    if cell.difference is None or not cell.distinct:
+        return False
+    return float(f"{cell.difference[0]:.{digits}f}") != 0.0
 
 
 def _write_curves(name: str, runs: Sequence[Run], store: Store) -> list[Path]:

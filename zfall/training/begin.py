@@ -13,6 +13,8 @@ from zfall.meaning import differences, meaning
 from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
 from zfall.training.loop import free_overrides, number_of_updates, resumed_config
+from zfall.training.parts import with_own_worlds
+from zfall.training.ranks import Ranks
 from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
 from zfall.training.stages import (
     begin_stage,
@@ -28,7 +30,7 @@ AUTO = "auto"  # in place of a folder to go on from: the one of the run, if it w
 
 
 def begin(
-    folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console
+    folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console, ranks: Ranks
 ) -> tuple[Learner, RunFolder]:
     """All that training takes, nothing written before all is checked.
 
@@ -37,6 +39,7 @@ def begin(
         cfg: as composed.
         overrides: from the shell.
         console: shows what was repaired.
+        ranks: the processes that train it.
 
     Raises:
         ValueError: on a config or a checkpoint of which no training can be made.
@@ -71,11 +74,11 @@ def begin(
     with trusting(targets_of(cfg)):  # what is trained must be readable, too
         config_of_file(OmegaConf.to_yaml(cfg, resolve=True), folder)
         if state is None:
-            check_stages(cfg)
+            check_stages(cfg, ranks)
     with checkpoint.reading(path):
         stage = stage_reached(cfg, state)
     try_one_step(stage.config.env)
-    learner = begin_stage(stage, folder, goes_on=state is not None)
+    learner = begin_stage(stage, folder, ranks, goes_on=state is not None)
     if state is not None:
         robot = identity_of(learner.env.base_env.robot)
         checkpoint.check_fits(state, robot, learner.actor, folder)
@@ -85,11 +88,12 @@ def begin(
                 f"behind it, got {stage.config.total_frames}."
             )
         with checkpoint.reading(path):
-            notes = learner.load_state_dict(state)
-    run = RunFolder(folder, cfg)
-    if state is None:
+            notes = learner.load_state_dict(with_own_worlds(state, folder, ranks))
+    ranks.gathered(None)  # all have read what is there
+    run = RunFolder(folder, cfg, ranks)
+    if state is None and ranks.leads:
         write_config(cfg, overrides, folder)
-    else:
+    elif state is not None:
         with checkpoint.reading(path):
             notes += run.load_state_dict(state["run"])
         for line in notes:

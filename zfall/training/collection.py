@@ -1,6 +1,6 @@
 """The worlds of a training, in groups that alternate."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -9,11 +9,13 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import NestedKey, TensorDictBase
+from torchrl._utils import seed_generator
 from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type
 
 from zfall.envs.env_state import env_state, load_env_state
 from zfall.modules.memory import memory_primer
 from zfall.simulation.turns import in_turns, physics_first
+from zfall.training.ranks import ALONE, Policy, Ranks
 
 PAYS_FROM = 256  # worlds in all: with fewer, two calls take longer than the physics between them
 
@@ -53,6 +55,8 @@ class Worlds:
         num_envs: worlds N in all.
         groups: envs that they are spread over; ``None``: two from 256 worlds on, else one. An env
             without a ``base_env`` is one group.
+        ranks: of which this one has a part of the worlds.
+        alike: worlds in a row that no part may divide.
 
     Attributes:
         carriers: what the worlds of each env are in, before the coming step; after ``begin``.
@@ -61,10 +65,20 @@ class Worlds:
         ValueError: if there are more groups than worlds, or than an env can be spread over.
     """
 
-    def __init__(self, env_cfg: DictConfig, num_envs: int, groups: int | None = None):
-        sizes = group_sizes(num_envs, groups)
+    def __init__(
+        self,
+        env_cfg: DictConfig,
+        num_envs: int,
+        groups: int | None = None,
+        ranks: Ranks = ALONE,
+        alike: int = 1,
+    ):
+        sizes = group_sizes(num_envs, groups if "base_env" in env_cfg else groups or 1)
+        self.ranks, self.pieces = ranks, ranks.pieces(sizes, alike)
+        self._groups = len(sizes)
         if "base_env" in env_cfg:
-            self.envs: list[TransformedEnv] = _built(env_cfg, sizes)
+            own = [piece.worlds for piece in self.pieces]
+            self.envs: list[TransformedEnv] = _built(env_cfg, own)
         elif groups in (None, 1):
             self.envs = [instantiate(env_cfg)]
         else:
@@ -91,9 +105,26 @@ class Worlds:
             env.append_transform(memory_primer(module, place))
 
     def begin(self, seed: int) -> None:
-        """Seeds the envs, each by what TorchRL makes of the seed before it, and resets them."""
-        for env in self.envs:
-            seed = env.set_seed(seed)
+        """Seeds the envs, each by what TorchRL makes of the seed before it, and resets them.
+
+        Raises:
+            ValueError: if a part of an env's worlds are to be stepped that have no streams.
+        """
+        seeds = [seed]
+        while len(seeds) <= self.pieces[-1].group:
+            seeds.append(seed_generator(seeds[-1]))
+        for env, piece in zip(self.envs, self.pieces, strict=True):
+            env.set_seed(seeds[piece.group])
+            if not piece.first:
+                continue
+            streams = getattr(getattr(env, "base_env", None), "streams", None)
+            if streams is None:
+                raise ValueError(
+                    "launch.ranks must be 1 for an env whose worlds have no random streams of "
+                    "their own, zfall.envs.streams."
+                )
+            worlds = range(piece.first, piece.first + piece.worlds)
+            streams.begin(seeds[piece.group], worlds)
         self.carriers = [env.reset() for env in self.envs]
 
     def close(self) -> None:
@@ -102,7 +133,7 @@ class Worlds:
 
     def run(
         self,
-        policy: Callable[[TensorDictBase], TensorDictBase],
+        policy: Policy,
         steps: int,
         stored: Sequence[NestedKey],
     ) -> TensorDictBase:
@@ -133,13 +164,15 @@ class Worlds:
     def _run(
         self,
         group: int,
-        policy: Callable[[TensorDictBase], TensorDictBase],
+        policy: Policy,
         steps: int,
         stored: Sequence[NestedKey],
     ) -> TensorDictBase:
         env, carrier, rows = self.envs[group], self.carriers[group], []
         for _ in range(steps):
-            data, carrier = env.step_and_maybe_reset(policy(carrier))
+            with self.ranks.drawing(group, policy, carrier):
+                acting = policy(carrier)
+            data, carrier = env.step_and_maybe_reset(acting)
             rows.append(data.select(*stored, strict=False))
         self.carriers[group] = carrier
         return torch.stack(rows, 1)
@@ -178,6 +211,32 @@ class Worlds:
                 "numbers begin anew from the seed, all else goes on."
             ]
         return []
+
+    def redraw(self, states: Sequence[dict[str, Any]]) -> list[str]:
+        """Begins anew, after ``begin``, where a run was shared among other ranks.
+
+        What a transform names as ``lasting`` a world keeps: its level of the curriculum.
+
+        Args:
+            states: of all worlds, as ``state_dict`` gave them, in their order.
+
+        Returns:
+            What does not go on, in lines to show.
+        """
+        sizes = group_sizes(sum(len(state["carrier"]["done"]) for state in states), self._groups)
+        begins = [sum(sizes[: piece.group]) + piece.first for piece in self.pieces]
+        for env, piece, begin in zip(self.envs, self.pieces, begins, strict=True):
+            for number, transform in enumerate(env.transform):
+                for name in getattr(transform, "lasting", ()):
+                    key = f"transforms.{number}.{name}"
+                    everyone = torch.cat([_whole(state)["transform"][key] for state in states])
+                    own = {name: everyone[begin : begin + piece.worlds]}
+                    transform.load_state_dict(own, strict=False)
+        self.carriers = [env.reset() for env in self.envs]
+        return [
+            "the run had another number of launch.ranks: its worlds are drawn anew, all that was "
+            "learned goes on."
+        ]
 
 
 def _whole(state: dict[str, Any]) -> dict[str, Any]:

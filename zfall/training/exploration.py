@@ -18,7 +18,8 @@ def exploration_of(actor: Any, batch: TensorDictBase) -> dict[str, float]:
     Means over a few rows of a batch ``(N, T)`` and over joints; in units of the action, and nats.
     What the distribution does not know is left out.
     """
-    some = batch[:WORLDS].select(*actor.in_keys)
+    device = next(actor.parameters()).device
+    some = batch[:WORLDS].select(*actor.in_keys).to(device)
     with torch.random.fork_rng(devices=[]):  # the entropy of a mixture is drawn
         policy, _ = policy_pass(actor, some)
         figures = {}

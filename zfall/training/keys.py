@@ -1,5 +1,6 @@
 """The keys of ``recipes/train.yaml``, and what their values may be; loads nothing."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
@@ -17,6 +18,11 @@ from zfall.values import (
     Seed,
     Whole,
 )
+
+Device = Annotated[
+    str,
+    Rule("be cpu, cuda or cuda:NUMBER", lambda x: re.fullmatch(r"cpu|cuda(:\d+)?", x) is not None),
+]
 
 
 class LossKeys(TypedDict):
@@ -40,6 +46,13 @@ class NormKeys(TypedDict):
 
     actor: PositiveOrInfinite
     critic: PositiveOrInfinite
+
+
+class Launch(TypedDict):
+    """The processes of a training."""
+
+    ranks: Count | None
+    timeout: Positive
 
 
 class Showcase(TypedDict):
@@ -71,6 +84,8 @@ class TrainKeys(TypedDict):
     warm_start: Name | None
     checkpoint_every: Count
     name: Name | int | None
+    launch: Launch
+    device: Device
     logger: Sequence[Node] | None
     auxiliary_losses: Mapping[str, Node | None]
     auxiliary_share: FractionAboveZero

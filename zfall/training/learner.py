@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
@@ -17,7 +17,6 @@ from zfall.losses.burn_in import burnt_in
 from zfall.losses.policy_pass import keep_policy, policy_pass
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of, recurrent_keys
-from zfall.simulation.model import identity_of
 from zfall.training import build
 from zfall.training.averaging import moving_average
 from zfall.training.checks import check_finite, check_task, whole_config
@@ -32,6 +31,9 @@ from zfall.training.minibatches import (
     rows_of,
 )
 from zfall.training.optimizers import build_optimizer, follow
+from zfall.training.ranks import ALONE, Ranks, Share
+from zfall.training.state import restore, state_of
+from zfall.training.transfers import Transfers
 
 
 class Learner:
@@ -43,26 +45,32 @@ class Learner:
     Args:
         config: as ``recipes/train.yaml`` composes it, or a nested dict of the same keys; those of
             its top level that are missing are the quickstart's.
+        ranks: the processes that share the training.
 
     Raises:
         ValueError: on a value that no training can have, naming its key.
     """
 
-    def __init__(self, config: DictConfig | Mapping[str, Any]):
+    def __init__(self, config: DictConfig | Mapping[str, Any], ranks: Ranks = ALONE):
         self.cfg = cfg = whole_config(config)
+        self.ranks, self.transfers = ranks, Transfers(cfg.device)
         if cfg.get("stages"):
             raise ValueError(
                 "stages must be {} for a Learner, which is one stage: "
                 "zfall.training.stages.stages_of gives them, recipes.train trains them."
             )
         torch.manual_seed(cfg.seed)
-        self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups)
+        self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups, ranks, cfg.alike)
         check_task(self.env, cfg)
         spec = self.env.observation_spec
         self.actor = instantiate(cfg.actor, spec, self.env.action_spec)
-        self._average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))
+        self.transfers.place([self.actor])
+        self.average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))
         self.critic = build.build_critic(cfg, spec, self.actor)
+        self.transfers.place([self.critic])
         self.losses = build.build_losses(cfg, self.env, self.actor, self.critic)
+        self.transfers.place([*self.losses.by_place.values(), self.losses.augmentation])
+        ranks.take_over(self.losses.by_place)
         along = build.followers(self.critic, self.losses)
         self._remembering = [m for m in (self.actor, *along) if recurrent_keys(m)]
         hidden = [key for module in self._remembering for key in recurrent_keys(module)]
@@ -97,12 +105,13 @@ class Learner:
 
     def begins_here(self) -> None:
         """Takes the policy at hand for that which training begins with, ``beginning``."""
-        self.beginning = {key: value.clone() for key, value in self.policy.state_dict().items()}
+        weights = self.policy.state_dict()
+        self.beginning = {key: value.cpu().clone() for key, value in weights.items()}
 
     @property
     def policy(self) -> torch.nn.Module:
         """The actor with averaged weights."""
-        return self._average.module
+        return self.average.module
 
     @property
     def env(self) -> TransformedEnv:
@@ -111,7 +120,7 @@ class Learner:
 
     @property
     def carrier(self) -> TensorDictBase:
-        """What all worlds are in ``(N,)``, before the coming step."""
+        """What this rank's worlds are in ``(N,)``, before the coming step."""
         return self.worlds.carrier
 
     @property
@@ -130,26 +139,27 @@ class Learner:
             self.frames += self.frames_per_batch
             batch = self.worlds.run(self._act, self.cfg.rollout_steps, self._stored)
             if number < more:
-                self._see(batch)
+                self._see(self.transfers.batch_there(batch))
         return batch
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Some passes of PPO over the batch; returns the means of the last pass."""
+        batch = self.transfers.batch_there(batch)
         data = self._with_advantages(batch)
-        passes = 0
+        passes, device = 0, self.transfers.device
         while passes < self.cfg.epochs:
             passes, outputs, drawn = passes + 1, [], []
-            for rows in torch.randperm(len(data)).tensor_split(self.cfg.minibatches):
-                part = self._prepared(rows_of(data, rows))
-                outputs.append(self._step(self._losses_of(part)))
-                drawn.append(drawn_samples(part))
+            for share in self.ranks.minibatches(len(data), self.cfg.minibatches):
+                part, share = self._prepared(rows_of(data, share.rows.to(device)), share)
+                outputs.append(self._step(self._losses_of(part, share)))
+                drawn.append(share.total(drawn_samples(part)))
             divergence = divergence_of(outputs, drawn)
             if self.cfg.loss.kl_stop is not None and divergence > self.cfg.loss.kl_stop:
                 break
         known = any(drawn) and self.cfg.epochs * self.cfg.minibatches > 1  # 0 before the only step
         self._adapt(batch, divergence if known else None)
         self._see(batch)
-        self._average.update_parameters(self.actor)
+        self.average.update_parameters(self.actor)
         self.updates += 1
         return means_of(outputs) | {"kl": divergence, "passes": passes}
 
@@ -160,8 +170,8 @@ class Learner:
 
     def _act(self, carrier: TensorDictBase) -> TensorDictBase:
         # Of the carrier's dozens of keys TensorDict would copy and write back all.
-        acted = self._acting(carrier.select(*self._acting.in_keys))
-        return carrier.update(acted.select(*self._acting.out_keys))
+        acted = self._acting(self.transfers.there(carrier.select(*self._acting.in_keys)))
+        return carrier.update(self.transfers.back(acted.select(*self._acting.out_keys)))
 
     def _with_advantages(self, batch: TensorDictBase) -> TensorDictBase:
         """What is learned from: samples, or whole sequences where something has a memory."""
@@ -170,51 +180,57 @@ class Learner:
         if self.cfg.alike > 1:
             batch["advantage"] = advantage_among_alike(batch["advantage"], self.cfg.alike)
         if self.cfg.loss.normalize_advantage == "batch":  # else PPO's loss does it, or nobody
-            advantage = batch["advantage"]
-            batch["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-6)
+            batch["advantage"] = self.ranks.standardized(batch["advantage"])
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
         return data if self._recurrent else data.reshape(-1)
 
-    def _prepared(self, part: TensorDictBase) -> TensorDictBase:
+    def _prepared(self, part: TensorDictBase, share: Share) -> tuple[TensorDictBase, Share]:
         """A minibatch as its losses see it."""
         if self.losses.augmentation is not None:
-            part = self.losses.augmentation(part)
+            with share.drawing():
+                part = self.losses.augmentation(part)
+            share = share.fitted(len(part))
         if self.cfg.burn_in:
             part = burnt_in(part, self._remembering, self.cfg.burn_in)
-        return part
+        return share.standardized(part), share
 
-    def _losses_of(self, part: TensorDictBase) -> TensorDictBase:
+    def _losses_of(self, part: TensorDictBase, share: Share) -> TensorDictBase:
         """All losses of a minibatch, PPO's first, and the figures that they report.
 
         The actor runs once over the minibatch, and over the states that auxiliary losses add to
         it as ``companions``; these see a share of its rows, whose order is random.
         """
-        auxiliary = self.losses.auxiliary.values()
+        ppo, auxiliary = self.losses.ppo, self.losses.auxiliary.values()
         if not auxiliary:
-            return self.losses.ppo(part)
-        rows = max(1, round(self.cfg.auxiliary_share * len(part)))
-        some = part[:rows]
+            with share.drawing():
+                return share.weighed(ppo(part), ppo, part)
+        leading = share.leading(self.cfg.auxiliary_share)
+        some = part[: len(leading.rows)]
         wanted = {}
         for loss in auxiliary if self._one_pass else ():
-            companions = loss.companions(some) if hasattr(loss, "companions") else None
+            with leading.drawing():
+                companions = loss.companions(some) if hasattr(loss, "companions") else None
             if companions is not None:
                 wanted[loss] = companions
-        policy, actions = policy_pass(self.actor, part, list(wanted.values()))
-        out = self.losses.ppo(keep_policy(part, policy))
+        with share.drawing():
+            policy, actions = policy_pass(self.actor, part, list(wanted.values()))
+            out = share.weighed(ppo(keep_policy(part, policy)), ppo, part)
         if self._one_pass:
-            some["deterministic_action"] = policy.deterministic_sample[:rows]
+            some["deterministic_action"] = policy.deterministic_sample[: len(some)]
         there = dict(zip(wanted, actions, strict=True))
         for loss in auxiliary:
             seen = some.copy().set(loss.companion_key, there[loss]) if loss in there else some
-            out.update(losses_of(loss, seen))
+            with leading.drawing():
+                out.update(leading.weighed(losses_of(loss, seen), loss, seen))
         return out
 
     def _step(self, out: TensorDictBase) -> dict[str, Tensor]:
         """One step of the optimizer; returns the figures of the minibatch."""
         total = sum(value for key, value in out.items() if key.startswith("loss_"))
         total.backward()
-        figures = {key: value.detach().mean() for key, value in out.items()}
+        figures = self.ranks.add_up(self.parameters, out)
         figures |= clip_gradients(self._parts, self.cfg.max_grad_norm)
+        figures = self.transfers.figures_back(figures)
         check_finite(figures, self.updates + 1)
         self.optimizer.step()
         self.optimizer.zero_grad()
@@ -224,17 +240,19 @@ class Learner:
         """Learning rate and weight of the penalty follow an update, if its divergence is known."""
         if divergence is not None:
             self.losses.ppo.adapt(divergence)
-        follow(self.scheduler, batch["next", "reward"].mean().item(), divergence)
+        reward = self.ranks.mean(batch["next", "reward"])
+        follow(self.scheduler, reward.item(), divergence)
 
     def _see(self, batch: TensorDictBase) -> None:
         """Takes the batch into the statistics of the observations, once it is learned from."""
         of_actor, of_critic = normalizer_of(self.actor), normalizer_of(self.critic)
         if of_actor is not None:
-            of_actor.update(batch["observation"])
+            of_actor.update(batch["observation"], self.ranks.moments)
         if of_critic is not None and of_critic is not of_actor:
-            of_critic.update(batch["observation_critic"])
+            of_critic.update(batch["observation_critic"], self.ranks.moments)
 
-    def _buffers(self) -> dict[str, Tensor]:
+    def buffers(self) -> dict[str, Tensor]:
+        """What losses and the augmentation remember, by place."""
         modules = {"loss": self.losses.ppo, "augmentation": self.losses.augmentation}
         for place, loss in self.losses.auxiliary.items():
             modules[place.removeprefix("auxiliary_losses.")] = loss
@@ -242,23 +260,7 @@ class Learner:
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint holds."""
-        return {
-            "config": OmegaConf.to_yaml(self.cfg, resolve=True),
-            "robot": identity_of(self.env.base_env.robot),
-            "actor": self.actor.state_dict(),
-            "policy": self.policy.state_dict(),
-            "averaged": int(self._average.n_averaged),
-            "critic": self.critic.state_dict(),
-            "teachers": self.losses.teachers,
-            "optimizer": self.optimizer.state_dict(),
-            "scheduler": self.scheduler.state_dict() if self.scheduler else {},
-            "buffers": {key: value.clone() for key, value in self._buffers().items()},
-            "worlds": self.worlds.state_dict(),
-            "rng": torch.get_rng_state(),
-            "threads": torch.get_num_threads(),
-            "frames": self.frames,
-            "updates": self.updates,
-        }
+        return state_of(self)
 
     def load_state_dict(self, state: dict[str, Any]) -> list[str]:
         """Goes on from what ``state_dict`` gave.
@@ -269,24 +271,4 @@ class Learner:
         Raises:
             ValueError: if a policy that it learns from has changed since.
         """
-        for place, known in state.get("teachers", {}).items():
-            if self.losses.teachers.get(place) != known:
-                raise ValueError(
-                    f"{place}.teacher must be what it was when the run began, its weights have "
-                    "changed: put them back, or begin anew."
-                )
-        notes = self.worlds.load_state_dict(state["worlds"])  # first, as it may refuse
-        self.actor.load_state_dict(state["actor"])
-        self.policy.load_state_dict(state["policy"])
-        self._average.n_averaged.fill_(state["averaged"])
-        self.critic.load_state_dict(state["critic"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        if self.scheduler:
-            self.scheduler.load_state_dict(state["scheduler"])
-        for key, value in self._buffers().items():
-            value.copy_(state["buffers"][key])
-        torch.set_rng_state(state["rng"])
-        # Sums over parts, one for each thread, are rounded in another order with another number.
-        torch.set_num_threads(state.get("threads", torch.get_num_threads()))
-        self.frames, self.updates = state["frames"], state["updates"]
-        return notes
+        return restore(self, state)

@@ -13,14 +13,18 @@ from types import FrameType
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import TextColumn
+from rich.table import Column
 
 from zfall import checkpoint
 from zfall.configs import compose_config
+from zfall.terminal import Shortened, progress_bar
 from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
+from zfall.training.parts import with_own_worlds
+from zfall.training.ranks import ALONE
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
 from zfall.training.stages import begin_stage, stage_reached
 from zfall.trust import targets_of, trusting
@@ -34,6 +38,8 @@ _FREE = (
     "showcase",
     "logger",
     "name",
+    "launch",
+    "device",
 )  # may change
 
 
@@ -98,7 +104,7 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         run = RunFolder(folder, cfg)
         if state is not None:
             with checkpoint.reading(path):
-                notes = learner.load_state_dict(state)
+                notes = learner.load_state_dict(with_own_worlds(state, folder, ALONE))
                 notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)
@@ -136,7 +142,13 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
     cfg, control_dt = learner.cfg, learner.env.base_env.control_dt
     total, every = number_of_updates(learner), (cfg.showcase or {}).get("every")
     looks = range(every, total, every) if every else ()
-    with progress_bar(console) as bar, garbage_collector_of_new_things(), first_ctrl_c() as stop:
+    counted = TextColumn("{task.completed}/{task.total}", table_column=Column(no_wrap=True))
+    columns = (counted, Shortened("{task.fields[note]}"))
+    with (
+        progress_bar(console, *columns) as bar,
+        garbage_collector_of_new_things(),
+        first_ctrl_c() as stop,
+    ):
         task = bar.add_task(
             run.stage.name or "train", total=total, completed=learner.updates, note=""
         )
@@ -146,7 +158,8 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
             times.append(time.perf_counter())
             losses = learner.learn(batch)
             times.append(time.perf_counter())
-            metrics = batch_metrics(batch, learner.carrier, control_dt)
+            metrics = batch_metrics(batch, learner.carrier, control_dt, learner.ranks)
+            learner.ranks.check_same(learner.parameters)
             figures = exploration_of(learner.actor, batch) if run.loggers else {}
             run.write(learner, metrics, losses, times, figures)
             if learner.updates % cfg.checkpoint_every == 0 or learner.updates in (1, total):
@@ -157,16 +170,18 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
                     look(learner)
             seconds = times[-1] - times[0]
             note = (
-                f"{learner.frames / 1e6:.2f} M frames, {learner.frames_per_batch / seconds:.0f}/s, "
                 f"return {run.last['episode_return']:.1f}, "
-                f"episode {run.last['episode_seconds']:.1f} s"
+                f"episode {run.last['episode_seconds']:.1f} s, "
+                f"{learner.frames_per_batch / seconds:.0f}/s, {learner.frames / 1e6:.2f} M frames"
             )
             bar.update(task, completed=learner.updates, note=note)
             if not console.is_terminal and learner.updates % 10 == 0:
                 left = f"{(total - learner.updates) * seconds:.0f} s left"
                 of = f"{run.stage.name} " if run.stage.name else ""
                 console.print(f"{of}{learner.updates}/{total}: {note}, {left}", soft_wrap=True)
-            if stop.is_set() and not (learner.updates == total and run.at_last_stage):
+            if learner.ranks.any(stop.is_set()) and not (
+                learner.updates == total and run.at_last_stage
+            ):
                 run.save(learner, "last")
                 return False
     return True
@@ -197,17 +212,3 @@ def garbage_collector_of_new_things() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-def progress_bar(console: Console) -> Progress:
-    """Updates, speed, return, episode length and time left."""
-    return Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.completed}/{task.total}"),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )

@@ -1,6 +1,7 @@
 """The folder of a training run, and the files in it."""
 
 import errno
+import json
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -16,9 +17,12 @@ from zfall.commands import remove_if_empty
 from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
 from zfall.training.optimizers import learning_rates
+from zfall.training.parts import drop_parts, write_part
+from zfall.training.ranks import ALONE, Ranks
 from zfall.training.rows import append_row, keep_rows
 from zfall.training.stages import begin_stage, checkpoint_of_stage, stages_of, written_out
 from zfall.trust import targets_of, trusting
+from zfall.versions import versions
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
@@ -85,10 +89,14 @@ def full_disk_named(folder: Path) -> Iterator[None]:
 
 
 def write_config(cfg: DictConfig, overrides: Sequence[str], folder: Path) -> None:
-    """Writes what hydra itself would write before it is known whether the run is refused."""
+    """Writes what hydra itself would write before it is known whether the run is refused.
+
+    And, next to it, which code the run is of.
+    """
     (folder / ".hydra").mkdir(parents=True, exist_ok=True)
     OmegaConf.save(cfg, folder / ".hydra" / "config.yaml")
     OmegaConf.save(OmegaConf.create(list(overrides)), folder / ".hydra" / "overrides.yaml")
+    (folder / ".hydra" / "versions.json").write_text(json.dumps(versions(), indent=2))
 
 
 def check_version(state: dict[str, Any], folder: Path) -> None:
@@ -110,19 +118,21 @@ class RunFolder:
     Args:
         folder: the run folder, see ``owned``.
         cfg: of the training, all its stages; its ``logger`` and ``name`` are read.
+        ranks: the processes that train; the leading one writes.
 
     Attributes:
         stage: that is trained at present.
         before: updates and control steps of the stages before it.
     """
 
-    def __init__(self, folder: Path, cfg: DictConfig):
-        self.folder, self.cfg = folder, cfg
+    def __init__(self, folder: Path, cfg: DictConfig, ranks: Ranks = ALONE):
+        self.folder, self.cfg, self.ranks = folder, cfg, ranks
         self.stages = stages_of(cfg)
         self.stage = self.stages[0]
         self.before = {"updates": 0, "frames": 0}
         folder.mkdir(parents=True, exist_ok=True)
-        self.loggers = Loggers(cfg.get("logger") or [], folder, cfg.get("name"))
+        loggers = (cfg.get("logger") or []) if ranks.leads else []
+        self.loggers = Loggers(loggers, folder, cfg.get("name"))
         (folder / "checkpoints").mkdir(exist_ok=True)  # by which a folder is known to be a run's
         self.last = {"episode_return": math.nan, "episode_seconds": math.nan}
         self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
@@ -148,6 +158,8 @@ class RunFolder:
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
         self.note(metrics)
+        if not self.ranks.leads:
+            return
         row: dict[str, float] = {"update": self.updates(learner), "frames": self.frames(learner)}
         row |= {"stage": self.stage.number} if self.stage.name else {}
         row |= {**self.last, **metrics}
@@ -189,9 +201,16 @@ class RunFolder:
         self.save(learner, "last")
 
     def save(self, learner: Learner, name: str) -> None:
-        """Writes ``checkpoints/NAME.pt``."""
+        """Writes ``checkpoints/NAME.pt``, of ``last`` every rank its worlds."""
+        if name == "last":
+            write_part(self.folder, self.ranks, learner.worlds, self.updates(learner))
+            self.ranks.gathered(None)  # they are all there
+        if not self.ranks.leads:
+            return
         content = learner.state_dict() | {"run": self.state_dict(learner)}
         checkpoint.save(self.folder / "checkpoints" / f"{name}.pt", content)
+        if name == "last":
+            drop_parts(self.folder, self.updates(learner))
 
     def next_stage(self, learner: Learner) -> Learner:
         """Keeps what the stage at hand came to; returns the learner of the next.
@@ -201,11 +220,12 @@ class RunFolder:
         assert self.stage.name is not None
         self.save(learner, checkpoint_of_stage(self.folder, self.stage.name).stem)
         self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
+        self.ranks.wait()
         self.stage = self.stages[self.stage.number]
         self.recent, self.best = [], ()
         learner.worlds.close()
         with trusting(targets_of(self.cfg)):  # all of them were built before the first began
-            return begin_stage(self.stage, self.folder)
+            return begin_stage(self.stage, self.folder, self.ranks)
 
     @property
     def at_last_stage(self) -> bool:
@@ -230,6 +250,7 @@ class RunFolder:
         return {
             **(stages if self.stage.name else {}),
             "version": VERSION,
+            "ranks": self.ranks.size,
             "updates": self.updates(learner),
             "last": self.last,
             "recent": self.recent,
@@ -247,7 +268,9 @@ class RunFolder:
         self.before = dict(state.get("before", self.before))
         self.last, self.recent, self.best = state["last"], state["recent"], state["best"]
         self.columns = dict(state.get("columns", {}))
-        lost = []
+        lost: list[str] = []
+        if not self.ranks.leads:
+            return lost
         for name in ("metrics.csv", "timing.csv"):
             path = self.folder / name
             missing = keep_rows(path, self.columns.get(name, ()), state["updates"])

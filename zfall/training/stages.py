@@ -13,6 +13,7 @@ from zfall import checkpoint
 from zfall.errors import SPOKEN, at, in_one_line
 from zfall.training.keys import TrainKeys
 from zfall.training.learner import Learner
+from zfall.training.ranks import ALONE, Ranks
 from zfall.training.trial_step import try_one_step
 from zfall.training.warm_start import warm_start
 
@@ -98,7 +99,7 @@ def written_out(cfg: DictConfig) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(whole))
 
 
-def check_stages(cfg: DictConfig) -> None:
+def check_stages(cfg: DictConfig, ranks: Ranks = ALONE) -> None:
     """Refuses a training one of whose stages cannot be, before the first begins.
 
     Every stage is set up and tried once, from what the ones before it are without training.
@@ -113,24 +114,27 @@ def check_stages(cfg: DictConfig) -> None:
             assert stage.name is not None
             try:
                 try_one_step(stage.config.env)
-                learner = begin_stage(stage, Path(folder))
+                learner = begin_stage(stage, Path(folder), ranks)
             except SPOKEN as error:
                 reason = linked_file.sub(r"stage \1", in_one_line(error))
                 raise ValueError(at(f"stages.{stage.name}", reason)) from error
             checkpoint.save(checkpoint_of_stage(Path(folder), stage.name), learner.state_dict())
 
 
-def begin_stage(stage: Stage, folder: Path, *, goes_on: bool = False) -> Learner:
+def begin_stage(
+    stage: Stage, folder: Path, ranks: Ranks = ALONE, *, goes_on: bool = False
+) -> Learner:
     """The learner of a stage, with the weights that it begins with, see ``Learner.beginning``.
 
     Args:
         stage: of a training in ``folder``, where the stages before it are finished.
         folder: of the run.
+        ranks: the processes that share it.
         goes_on: whether a checkpoint gives it other weights in any case. What it began with may
             then be gone.
     """
     config = OmegaConf.create(_filled(OmegaConf.to_container(stage.config), folder))
-    learner = Learner(config)
+    learner = Learner(config, ranks)
     try:
         if stage.begins_with is not None:
             path = checkpoint_of_stage(folder, stage.begins_with)

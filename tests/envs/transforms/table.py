@@ -12,7 +12,7 @@ from zfall.robots import ZEROTH01, Ball, Robot
 
 _ACTIONS, _PUSHES = "zfall.envs.transforms.actions", "zfall.envs.transforms.pushes"
 _SENSING, _RANDOM = "zfall.envs.transforms.observations", "zfall.envs.transforms.randomization"
-_TERMS = "zfall.envs.terms"
+_TERMS, _FOREIGN = "zfall.envs.terms", "zfall.envs.transforms.foreign.terms"
 _ESTIMATION, _WINDOWS = "zfall.envs.transforms.estimation", "zfall.envs.transforms.windows"
 TARGETS = {
     "position": {"_target_": f"{_ACTIONS}.JointPositionTarget", "scale": 0.6},
@@ -74,6 +74,7 @@ TABLE = {  # in the order of a yaml
         "times": [0.1, 0.2, 0.3],
     },
     "ball": {"_target_": f"{_PUSHES}.ThrownBall", "speed": [3, 4], "times": [0.1, 0.3]},
+    "ball_push": {"_target_": f"{_PUSHES}.BallPush", "flight": 0.1},
     "random": {
         "_target_": f"{_RANDOM}.DomainRandomization",
         "interval": 0.12,
@@ -86,8 +87,9 @@ TABLE = {  # in the order of a yaml
     },
     "command": {
         "_target_": "zfall.envs.transforms.commands.Command",
-        "ranges": {"vx": [-0.1, 0.3], "height": [-0.02, 0.0]},
+        "ranges": {"vx": [-0.1, 0.3], "yaw": [-1.0, 1.0], "height": [-0.02, 0.0]},
         "interval": [0.08, 0.2],
+        "turning": True,
     },
     "last_action": {"_target_": f"{_WINDOWS}.LastAction"},
     "mean": {"_target_": f"{_WINDOWS}.MeanVelocity"},
@@ -163,6 +165,7 @@ TABLE = {  # in the order of a yaml
     "base_pose": {"_target_": f"{_SENSING}.BasePose"},
     "feet": {"_target_": f"{_SENSING}.FeetInBase"},
     "imu": {"_target_": f"{_SENSING}.ImuOrientation"},
+    "imu_to_heading": {"_target_": f"{_SENSING}.OrientationToHeading"},
     "history": {
         "_target_": f"{_SENSING}.ObservationHistory",
         "keys": [IMU[0], "joint_position"],
@@ -173,6 +176,17 @@ TABLE = {  # in the order of a yaml
         "out_key": "observation",
         "measured": True,
         "keys": [*IMU, "joint_position", "joint_velocity"],
+    },
+    "foreign": {
+        "_target_": "zfall.envs.transforms.foreign.ForeignObservation",
+        "joints": sorted(ZEROTH01.joints),
+        "terms": [
+            {"of": {"_target_": f"{_FOREIGN}.JointPosition"}, "scale": 0.5},
+            {"of": {"_target_": f"{_FOREIGN}.PreviousAction"}, "clip": [-1.0, 1.0]},
+            {"of": {"_target_": f"{_FOREIGN}.GaitClock", "frequency": 1.5}},
+        ],
+        "history": 2,
+        "out_key": "foreign",
     },
     "normalized": {
         "_target_": f"{_SENSING}.NormalizedVector",
@@ -191,6 +205,7 @@ NEEDS = {  # other rows that a row cannot be without
     "mirrored_falls": {"kneel_reference", "mode"},
     "near": {"observation"},
     "reward": {"last_action"},
+    "imu_to_heading": {"command"},
     "stable": {"mode"},
     "zero": {"random"},
 }
@@ -219,6 +234,8 @@ def build(
     for name, row in (("falling", "bank"), ("kneel_reference", "catches")):
         if row in files and name in rows:
             rows[name][row] = files[row]
+    if "foreign" in rows:
+        rows["foreign"]["joints"] = sorted(robot.joints)
     torch.manual_seed(0)  # of the networks that transforms bring
     env = make_env(base, rows)
     env.set_seed(0)

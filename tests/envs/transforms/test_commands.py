@@ -1,8 +1,11 @@
 """What the robot is told."""
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
+from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.transforms.actions import JointPositionTarget
@@ -93,3 +96,27 @@ def test_partial_reset_touches_its_rows_alone_and_draws_the_same_whoever_fell(ma
 def test_bad_values_are_refused(make_base, values, message):
     with pytest.raises(ValueError, match=message):
         Command(make_base(), **values)
+
+
+def test_a_commanded_rate_turns_the_commanded_heading_over_half_a_turn_and_back_to_0(make_base):
+    """2 rad/s for 40 steps of 0.04 s are 3.2 rad, which is -2 pi + 3.2; a reset begins anew."""
+    command = Command(make_base(num_envs=2), ranges={"yaw": [2.0, 2.0]}, turning=True)
+    empty = TensorDict(batch_size=[2])
+    td = command._reset(empty, TensorDict(batch_size=[2]))
+    assert_close(td["commanded_heading"], torch.zeros(2, 1))
+    for _ in range(40):
+        td = command._step(empty, TensorDict(batch_size=[2]))
+    expected = torch.full((2, 1), 3.2 - 2 * math.pi)
+    assert_close(td["commanded_heading"], expected, atol=1e-5, rtol=0)
+    one = TensorDict({"_reset": torch.tensor([[True], [False]])}, batch_size=[2])
+    td = command._reset(one, TensorDict(batch_size=[2]))
+    assert_close(td["commanded_heading"], expected * torch.tensor([[0.0], [1.0]]))
+
+
+def test_given_commands_replace_the_draws_world_by_world(make_base):
+    command = Command(make_base(num_envs=3), ranges=RANGES, interval=[0.04, 0.04])
+    given = torch.arange(18.0).reshape(3, 6)
+    command.give(given)
+    empty = TensorDict(batch_size=[3])
+    for td in (command._reset(empty, empty.clone()), command._step(empty, empty.clone())):
+        assert_close(td["command"], given)

@@ -28,15 +28,27 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import build_transform, make_env
 from zfall.envs.transforms.base_env import name_streams
 from zfall.envs.transforms.starts import ScriptedStart
+from zfall.robots import ZEROTH01
 
 DATA, STEPS, PHYSICS = "data", "steps", "physics"  # what a transform works on
 ON = dict.fromkeys(
-    ("action", "zero", "noise", "bits", "angles", "base_pose", "feet", "imu", "observation",
-     "normalized", "near"), DATA,
+    ("action", "zero", "noise", "bits", "angles", "base_pose", "feet", "imu", "imu_to_heading",
+     "observation", "normalized", "near", "foreign_target"), DATA,
 ) | {"last_action": STEPS}  # fmt: skip
 WITHOUT_ENV = {"noise", "near"}  # on data they draw from torch's own generator
-ROWS = ["action", "velocity", *(name for name in TABLE if name != "limit"), "scripted"]
+ROWS = [
+    "action",
+    "velocity",
+    "foreign_target",
+    *(name for name in TABLE if name != "limit"),
+    "scripted",
+]
 WHOLE = {f"all with {target} targets": target for target in TARGETS}  # at once
+FOREIGN_TARGET = {
+    "_target_": "zfall.envs.transforms.foreign.ForeignJointTarget",
+    "joints": sorted(ZEROTH01.joints),
+    "scale": 0.4,
+}
 NOT_ROWS = {"DropSubsteps"}  # the end of each table that make_env builds
 
 
@@ -46,11 +58,13 @@ class Row:
     def __init__(self, name: str):
         self.name, self.on = name, ON.get(name, PHYSICS)
         velocity = name in {"velocity", *OF_TARGET["velocity"]}
-        self.key = "action" if name == "velocity" else name
+        self.key = "action" if name in {"velocity", "foreign_target"} else name
         target, names = "velocity" if velocity else "position", {name} & set(TABLE)
         if name in WHOLE:
             target, names = WHOLE[name], set(TABLE)
         self.table = choose(target, names)
+        if name == "foreign_target":
+            self.table = {"action": FOREIGN_TARGET}
         if name == "scripted":
             self.table = {"scripted": None, **self.table}
 

@@ -36,7 +36,7 @@ def files_of(robot: Robot, folder: Path) -> dict[str, str]:
     return {"bank": str(folder / "falls.npz"), "catches": str(folder / "catches.npz")}
 
 
-@pytest.fixture(scope="module", params=["op3", "g1"])
+@pytest.fixture(scope="module", params=["op3", pytest.param("g1", marks=pytest.mark.slow)])
 def build_other(request, tmp_path_factory):
     """Builds the table's envs for another robot, bent knees for its kneel."""
     robot = robot_of(compose_config([f"robot={request.param}"]).env)

@@ -10,8 +10,9 @@ began with.
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from zfall.rotations import rotate_inverse
-from zfall.values import NotNegative, Positive
+from zfall.envs.terms.kernels import rbf
+from zfall.rotations import heading, rotate_inverse, wrap
+from zfall.values import NotNegative, OpenFraction, Positive
 
 
 def forward_velocity(td: TensorDictBase, next_td: TensorDictBase, *, limit: Positive) -> Tensor:
@@ -44,6 +45,35 @@ def feet_air_time(td: TensorDictBase, next_td: TensorDictBase, *, threshold: Not
     time = td["feet_air_time"]
     landed = (time > 0) & (next_td["feet_air_time"] == 0)
     return ((time - threshold) * landed).sum(-1, keepdim=True)
+
+
+def velocity_as_commanded(
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: Positive, epsilon: OpenFraction
+) -> Tensor:
+    """High when the robot moves as it shall: ``rbf((v_x, v_y), command)``.
+
+    Reads ``base_linear_velocity`` ``(*B, 3)`` [m/s; world] and ``base_orientation`` ``(*B, 4)``
+    after the step, and ``command`` ``(*B, 6)`` for it; ``cutoff`` [m/s]. Returns ``(*B, 1)`` in
+    (0, 1].
+
+    Source: none; the report pays for speed forward alone.
+    """
+    velocity = _base_velocity(next_td)[..., :2]
+    return rbf(velocity, td["command"][..., :2], cutoff=cutoff, epsilon=epsilon)
+
+
+def heading_as_commanded(
+    td: TensorDictBase, next_td: TensorDictBase, *, cutoff: Positive, epsilon: OpenFraction
+) -> Tensor:
+    """High when the robot heads where it shall: ``rbf(heading - commanded heading, 0)``.
+
+    Reads ``base_orientation`` ``(*B, 4)`` and ``commanded_heading`` ``(*B, 1)`` [rad];
+    ``cutoff`` [rad]. Returns ``(*B, 1)`` in (0, 1].
+
+    Source: none; without it a robot that walks straight by its own axes walks in circles.
+    """
+    error = wrap(heading(next_td["base_orientation"]) - next_td["commanded_heading"])
+    return rbf(error, 0.0, cutoff=cutoff, epsilon=epsilon)
 
 
 def _base_velocity(td: TensorDictBase) -> Tensor:

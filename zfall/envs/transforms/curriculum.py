@@ -46,6 +46,7 @@ class Curriculum(Transform):
     """
 
     level: Tensor
+    lasting = ("level",)  # kept by worlds that are drawn anew
 
     def __init__(
         self,

@@ -3,6 +3,9 @@
 A battery's yaml names its kind by the dotted path of a class. ``Kind`` says what such a class has;
 ``planar.py`` is the one to begin a new kind from. There is nothing to inherit and nothing to
 register.
+
+A kind may also have a method ``prepare(battery, trials, env)``: it is called before each chunk of
+trials, one for each world of ``env``, whose transforms it may set for the coming episode.
 """
 
 from collections.abc import Callable, Mapping

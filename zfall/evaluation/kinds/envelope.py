@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.metrics import Outcomes
-from zfall.evaluation.pendulum import references
 from zfall.evaluation.plans import Pushes, grid, single_pushes
 from zfall.evaluation.plots import envelope_plot
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head
-from zfall.evaluation.writers import Written, markdown, write_figures, write_table
+from zfall.evaluation.writers import Written, write_figures, write_table
+from zfall.terminal import Sheet
 from zfall.values import shown
 
 
@@ -47,7 +47,7 @@ class Envelope:
                 f"battery.resolution must be below {max(battery.impulses):g}, the largest of "
                 f"impulses, got {shown(resolution)}."
             )
-        check_unused(battery, "interval", "forces")
+        check_unused(battery, "interval", "forces", "commands")
         check_single(battery, "duration")
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
@@ -92,13 +92,13 @@ class Envelope:
         tables = {result.name: envelope_table(result.trials)}
         if result.background is not None:
             tables["pose_hold"] = envelope_table(result.background)
-        lines = references(result.robot, result.battery.durations[0])
+        lines = result.lines
         title = "largest impulse recovered from"
         files = write_table(folder, "envelope", tables[result.name])
         files += write_figures(
             folder, "envelope", lambda path: envelope_plot(tables, path, title=title, lines=lines)
         )
-        return Written(files, [markdown(_by_body(result.trials).reset_index())])
+        return Written(files, [Sheet(_by_body(result.trials).reset_index(), "largest impulse")])
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
         """Nothing: other policies are put to other trials."""

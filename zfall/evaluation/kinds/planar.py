@@ -8,19 +8,17 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from rich.box import SIMPLE
-from rich.table import Table
 
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.metrics import Outcomes
-from zfall.evaluation.pendulum import references
 from zfall.evaluation.plans import Pushes, grid, single_pushes
 from zfall.evaluation.plots import overlay, profiles_plot, success_map
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import summarize
 from zfall.evaluation.strategies import strategy_table
 from zfall.evaluation.writers import Written, write_figures, write_table
+from zfall.terminal import Sheet
 
 
 class Planar:
@@ -45,7 +43,7 @@ class Planar:
 
     def check(self, battery: Battery) -> None:
         """One push point and duration, and no random or listed pushes."""
-        check_unused(battery, "resolution", "interval", "forces")
+        check_unused(battery, "resolution", "interval", "forces", "commands")
         check_single(battery, "duration", "point")
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
@@ -58,7 +56,7 @@ class Planar:
 
     def write(self, result: Result, folder: Path) -> Written:
         """The map of success over ``pose_hold``, and the strategies by side and size."""
-        summary, lines = result.summary, references(result.robot, result.battery.durations[0])
+        summary, lines = result.summary, result.lines
         title = f"{result.name}, {folder.name.replace('_', ' ')}"
         files = write_figures(
             folder,
@@ -78,7 +76,7 @@ class Planar:
         """I50 by direction of all, and in how many directions it is at least as large."""
         first = next(iter(results.values()))
         trials = {label: result.trials for label, result in results.items()}
-        lines = references(first.robot, first.battery.durations[0])
+        lines = first.lines
         title = f"I50, {folder.name.replace('_', ' ')}"
         files = write_figures(
             folder, "overlay", lambda path: overlay(trials, path, title=title, lines=lines)
@@ -105,26 +103,19 @@ class Planar:
         }
 
 
-def success_by_size(summaries: Mapping[str, dict[str, Any]]) -> Table:
+def success_by_size(summaries: Mapping[str, dict[str, Any]]) -> Sheet:
     """Success by impulse and the headline figures, one column per policy."""
     first = next(iter(summaries.values()))
     duration = first["definition"]["duration"]
     title = f"{first['battery']}, {first['n']} trials each: share recovered, 95 % interval"
-    out = Table(title=title, box=SIMPLE)
-    out.add_column(f"push I (N for {duration:g} s)")
-    for name in summaries:
-        out.add_column(name, justify="right")
-    for key in first["success"]:
-        cells = [
-            f"{100 * s['success'][key]:3.0f} %  [{100 * s['success_low'][key]:.0f}, "
-            f"{100 * s['success_high'][key]:.0f}]"
-            for s in summaries.values()
+    sizes = [f"{key} ({first['force_n'][key]:.0f} N)" for key in first["success"]]
+    of = "" if len(sizes) > 9 else f" (of {', '.join(first['success'])})"
+    columns = {f"push I (N for {duration:g} s)": [*sizes, f"mean I50{of}", "falls without a push"]}
+    for name, s in summaries.items():
+        low, high = s["success_low"], s["success_high"]
+        columns[name] = [
+            f"{100 * share:3.0f} %  [{100 * low[key]:.0f}, {100 * high[key]:.0f}]"
+            for key, share in s["success"].items()
         ]
-        out.add_row(f"{key} ({first['force_n'][key]:.0f} N)", *cells)
-    label = (
-        "mean I50" if len(first["success"]) > 9 else f"mean I50 (of {', '.join(first['success'])})"
-    )
-    out.add_row(label, *(f"{s['i50_mean']:.2f}" for s in summaries.values()))
-    falls = (f"{s['control_falls']} of {s['control_n']}" for s in summaries.values())
-    out.add_row("falls without a push", *falls)
-    return out
+        columns[name] += [f"{s['i50_mean']:.2f}", f"{s['control_falls']} of {s['control_n']}"]
+    return Sheet(pd.DataFrame(columns), title)

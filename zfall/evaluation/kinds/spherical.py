@@ -17,7 +17,8 @@ from zfall.evaluation.plans import Pushes, cells, numbered, pushes_along
 from zfall.evaluation.plots import withstood_map
 from zfall.evaluation.results import Result
 from zfall.evaluation.statistics import head, withstood_table
-from zfall.evaluation.writers import Written, markdown, write_figures, write_table
+from zfall.evaluation.writers import Written, write_figures, write_table
+from zfall.terminal import Sheet
 
 TICK = 0.04  # at which it is drawn whether a push begins [s]
 
@@ -35,7 +36,7 @@ class Spherical:
 
     def check(self, battery: Battery) -> None:
         """A mean rest between pushes, and no listed ones."""
-        check_unused(battery, "resolution", "forces")
+        check_unused(battery, "resolution", "forces", "commands")
         if battery.interval is None:
             raise ValueError("battery.interval must be a number of seconds, got null.")
 
@@ -81,7 +82,10 @@ class Spherical:
             folder, "withstood", lambda path: withstood_map(result.trials, path, title=title)
         )
         rows = pd.DataFrame(result.summary["withstood"])
-        return Written(files + write_table(folder, "withstood", rows), [markdown(rows)])
+        return Written(
+            files + write_table(folder, "withstood", rows),
+            [Sheet(rows, file=str(folder / "withstood.csv"))],
+        )
 
     def compare(self, results: Mapping[str, Result], folder: Path) -> Written:
         """Nothing besides ``comparison.csv``."""

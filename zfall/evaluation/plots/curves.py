@@ -59,11 +59,16 @@ def learning_curves(metrics: pd.DataFrame | Mapping[str, pd.DataFrame], path: Pa
 def _smoothed(axes: Any, rows: pd.DataFrame, key: str, name: str, look: tuple[str, str]) -> None:
     """A column over the frames: its running mean, and the values faint behind it."""
     frames, (style, color) = rows["frames"] / 1e6, look
-    window = max(1, len(rows) // 30)
-    mean = rows[key].rolling(window, center=True, min_periods=1).mean()
+    mean = running_mean(rows[key])
     axes.plot(frames, rows[key], lw=0.7, color=color, alpha=0.3)
     every = max(1, len(rows) // 8)
     axes.plot(frames, mean, style, lw=1.5, ms=4, markevery=every, color=color, label=name)
+
+
+def running_mean(values: pd.Series) -> pd.Series:
+    """Means over about a thirtieth of all values."""
+    window = max(1, len(values) // 30)
+    return values.rolling(window, center=True, min_periods=1).mean()
 
 
 def learning_bands(
@@ -109,6 +114,27 @@ def learning_bands(
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
     with written_whole(path) as new:
         figure.savefig(new, format=path.suffix[1:], dpi=300, metadata=metadata)
+
+
+def learning_table(groups: Mapping[str, Sequence[pd.DataFrame]]) -> pd.DataFrame:
+    """What ``learning_bands`` draws of returns and lengths of episodes, as numbers.
+
+    Rows: ``name``, ``frames`` and, of ``episode_return`` and ``episode_seconds`` [s], the mean over
+    the runs of a group, their least and their greatest (``_low``, ``_high``).
+
+    Args:
+        groups: as there.
+    """
+    tables = []
+    for name, runs in groups.items():
+        edges = np.linspace(0.0, min(float(run["frames"].max()) for run in runs), POINTS + 1)
+        columns: dict[str, Any] = {"name": name, "frames": 0.5 * (edges[1:] + edges[:-1])}
+        for key in ("episode_return", "episode_seconds"):
+            curves = np.array([_binned(run, key, edges) for run in runs])
+            columns |= {key: curves.mean(0)}
+            columns |= {f"{key}_low": curves.min(0), f"{key}_high": curves.max(0)}
+        tables.append(pd.DataFrame(columns))
+    return pd.concat(tables, ignore_index=True)
 
 
 def _binned(run: pd.DataFrame, key: str, edges: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Maps over the size and duration of pushes."""
 
+import textwrap
 from pathlib import Path
 
 import pandas as pd
@@ -43,7 +44,8 @@ def withstood_map(trials: pd.DataFrame, path: Path, *, title: str) -> None:
     bar = figure.colorbar(image, ax=panels)
     bar.set_label("pushes in a row", fontsize=8)
     bar.ax.tick_params(labelsize=7)
-    figure.suptitle(title, fontsize=9)
+    width = 30 * len(bodies) + 10
+    figure.suptitle(textwrap.fill(title, width, break_on_hyphens=False), fontsize=9)
     figure.savefig(path, dpi=300)
 
 

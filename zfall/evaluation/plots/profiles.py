@@ -1,6 +1,7 @@
 """Whole distributions in place of means."""
 
 import itertools
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from zfall.evaluation.comparison import interquartile_mean, performance_profile
-from zfall.evaluation.plots.polar import LINES
+from zfall.evaluation.plots.polar import LINES, TITLE
 from zfall.evaluation.statistics import largest_withstood, success_table
 
 
@@ -39,7 +40,7 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
     axes.set_xlabel("impulse I", fontsize=8)
     axes.set_ylabel("share of directions with I50 >= I", fontsize=8)
     axes.tick_params(labelsize=7)
-    axes.set_title(title, fontsize=9)
+    figure.suptitle(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=9)
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", fontsize=7, frameon=False)
     figure.savefig(path, dpi=300)

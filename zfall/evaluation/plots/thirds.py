@@ -1,5 +1,6 @@
 """Success by thirds of what was drawn."""
 
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,6 @@ def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
     axes.set_xlabel("recovered [%]", fontsize=8)
     axes.set_xlim(left=0.0)
     axes.grid(alpha=0.3, axis="x")
-    axes.set_title(title, fontsize=9)
+    figure.suptitle(textwrap.fill(title, 66, break_on_hyphens=False), fontsize=9)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     figure.savefig(path, dpi=150)

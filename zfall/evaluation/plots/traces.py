@@ -17,9 +17,10 @@ def trace_plot(
     joint: str,
     pushes: Sequence[tuple[float, float]],
 ) -> None:
-    """Target, position and torque of a joint over a trial, a line for each run.
+    """Target velocity, target, position and torque of a joint, a line for each run.
 
-    After Duburcq et al., IROS 2022, figure 6.
+    The target velocity is the difference of targets over a control step. After Duburcq et al.,
+    IROS 2022, figure 6.
 
     Args:
         traces: by name, rows with ``time_s`` and ``target``, ``position`` [rad] and ``torque``
@@ -28,13 +29,22 @@ def trace_plot(
         joint: its name.
         pushes: when each begins and ends [s].
     """
-    figure = Figure(figsize=(3.5, 3.7 + 0.15 * len(traces)), layout="constrained")
-    panels = figure.subplots(3, 1, sharex=True)
-    labels = {"target": "target [rad]", "position": "position [rad]", "torque": "torque [N m]"}
+    figure = Figure(figsize=(3.5, 4.7 + 0.15 * len(traces)), layout="constrained")
+    panels = figure.subplots(4, 1, sharex=True)
+    labels = {
+        "target_velocity": "target [rad/s]",
+        "target": "target [rad]",
+        "position": "position [rad]",
+        "torque": "torque [N m]",
+    }
+    moving = {
+        name: rows.assign(target_velocity=rows["target"].diff() / rows["time_s"].diff())
+        for name, rows in traces.items()
+    }
     for axes, (key, label) in zip(panels, labels.items(), strict=True):
         for push in pushes:
             axes.axvspan(*push, color="0.88", lw=0)
-        lines = zip(traces.items(), itertools.cycle(LINES), strict=False)
+        lines = zip(moving.items(), itertools.cycle(LINES), strict=False)
         for (name, rows), (style, color) in lines:
             (line,) = axes.plot(
                 rows["time_s"], rows[key], style, color=color, lw=1, markevery=5, ms=3

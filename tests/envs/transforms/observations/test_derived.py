@@ -16,6 +16,7 @@ from zfall.envs.transforms.observations import (
     ImuOrientation,
     ObservationNoise,
     ObservationVector,
+    OrientationToHeading,
 )
 from zfall.envs.transforms.starts import NoisyStart
 
@@ -75,6 +76,17 @@ def test_imu_says_the_same_rotation_with_one_sign(turned):
     assert (out[:, 0] >= 0).all()
     back = Rotation.from_quat(out.numpy()[:, [1, 2, 3, 0]])
     assert (rotation.inv() * back).magnitude().max() < 1e-5
+
+
+def test_the_orientation_to_the_heading_is_turned_back_by_it(turned):
+    td, rotation = turned
+    angle = torch.linspace(-3.0, 3.0, len(td))[:, None]
+    td["commanded_heading"] = angle
+    out = OrientationToHeading()._call(td)["imu_orientation"]
+    assert (out[:, 0] >= 0).all()
+    expected = Rotation.from_euler("z", -angle.numpy()) * rotation
+    found = Rotation.from_quat(out.numpy()[:, [1, 2, 3, 0]])
+    assert (expected.inv() * found).magnitude().max() < 1e-5
 
 
 def build(base, noise: bool):

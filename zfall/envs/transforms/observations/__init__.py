@@ -14,7 +14,12 @@ stacks whole observations; it starts again in the rows of a partial reset.
 
 from zfall.envs.transforms.observations.bias import ObservationBias, ObservationRandomWalk
 from zfall.envs.transforms.observations.delay import ObservationDelay
-from zfall.envs.transforms.observations.derived import BasePose, FeetInBase, ImuOrientation
+from zfall.envs.transforms.observations.derived import (
+    BasePose,
+    FeetInBase,
+    ImuOrientation,
+    OrientationToHeading,
+)
 from zfall.envs.transforms.observations.dropout import ObservationDropout
 from zfall.envs.transforms.observations.history import ObservationHistory
 from zfall.envs.transforms.observations.neighbours import CAPSNeighbours
@@ -37,6 +42,7 @@ __all__ = [
     "ObservationNoise",
     "ObservationRandomWalk",
     "ObservationVector",
+    "OrientationToHeading",
     "Quantization",
     "TiltAngles",
 ]

@@ -16,7 +16,7 @@ from torchrl.envs import Transform
 from zfall.envs.on_robot import Derived, OnRobot
 from zfall.envs.transforms.base_env import on_data
 from zfall.envs.transforms.observations.measured import measured_key, read_measured
-from zfall.rotations import rotate_inverse, up_axis
+from zfall.rotations import rotate_inverse, turned, up_axis
 
 
 def _write(
@@ -154,6 +154,41 @@ class ImuOrientation(Transform):
         return _declare(observation_spec, "imu_orientation", (4,), self.in_keys)
 
 
+class OrientationToHeading(Transform):
+    """The quaternion of an IMU, turned back by the heading that is commanded.
+
+    A robot that heads where it shall has the yaw 0 in it: its policy need not know where north is.
+    Of the two that mean the same, that with w >= 0, as ``ImuOrientation``.
+
+    Keys: reads ``base_orientation`` ``(N, 4)`` and ``commanded_heading`` ``(N, 1)`` [rad], which
+    ``Command`` writes; writes ``imu_orientation`` ``(N, 4)``, (w, x, y, z).
+    """
+
+    units: ClassVar[Mapping[str, str]] = {"imu_orientation": "1, w x y z, w >= 0"}
+    measured = True
+    forward = on_data
+
+    def __init__(self) -> None:
+        keys = ["base_orientation", "commanded_heading"]
+        super().__init__(in_keys=keys, out_keys=["imu_orientation"])
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        _write(next_tensordict, "imu_orientation", to_heading, self.in_keys)
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def on_robot(self) -> OnRobot:
+        """The same on a robot that is given what it reads."""
+        return Derived(self.in_keys, {"imu_orientation": to_heading})
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        return _declare(observation_spec, "imu_orientation", (4,), self.in_keys)
+
+
 def roll_pitch(orientation: Tensor) -> Tensor:
     """Roll and pitch ``(*B, 2)`` [rad] of a quaternion ``(*B, 4)``, see ``BasePose``."""
     x, y, z = up_axis(orientation).unbind(-1)
@@ -169,3 +204,9 @@ def feet_in_base(position: Tensor, orientation: Tensor, feet: Tensor) -> Tensor:
 def positive_half(orientation: Tensor) -> Tensor:
     """The quaternion ``(*B, 4)`` or its negative, so that the first component is not negative."""
     return torch.where(orientation[..., :1] < 0, -orientation, orientation)
+
+
+def to_heading(orientation: Tensor, heading: Tensor) -> Tensor:
+    """The quaternion ``(*B, 4)`` after a turn by ``-heading`` ``(*B, 1)`` [rad], see
+    ``OrientationToHeading``."""
+    return positive_half(turned(orientation, -heading[..., 0]))

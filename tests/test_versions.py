@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 
-from zfall.studies import versions
+from zfall import versions
 
 
 def test_packages_are_named_and_a_clone_by_its_commit():

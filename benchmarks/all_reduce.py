@@ -1,0 +1,128 @@
+"""How long the sums over ranks take, by their size; over loopback, or a network with a delay.
+
+    python -m benchmarks.all_reduce ranks=2 repeats=200
+    python -m benchmarks.all_reduce ranks=2 delay_ms=1        # as root, Linux: network namespaces
+
+For each size it prints the median and what the model says. The model is the straight line through
+the smallest and the largest size: ``seconds = latency + bytes / rate``. With a delay, ranks are in
+network namespaces that a bridge connects, and ``tc netem`` holds every packet back for so long.
+"""
+
+import os
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from datetime import timedelta
+
+OWN = {"ranks": 2, "repeats": 200, "delay_ms": 0.0}
+FLOATS = (8, 1024, 16_384, 131_072, 524_288, 2_097_152)
+NET = "10.213.77"  # of the namespaces, which no other network sees
+
+
+def work(rank: int, ranks: int, repeats: int, store: str) -> None:
+    """A rank: sums tensors of every size; the first prints what it took."""
+    import torch
+    import torch.distributed as dist
+
+    torch.set_num_threads(1)
+    meeting = dist.FileStore(store, ranks)
+    wait = timedelta(seconds=60)
+    dist.init_process_group("gloo", store=meeting, rank=rank, world_size=ranks, timeout=wait)
+    medians = {}
+    for size in FLOATS:
+        values, times = torch.zeros(size), []
+        for _ in range(repeats):
+            dist.barrier()
+            began = time.perf_counter()
+            dist.all_reduce(values)
+            times.append(time.perf_counter() - began)
+        medians[4 * size] = statistics.median(times)
+    if rank == 0:
+        report(medians)
+    dist.destroy_process_group()
+
+
+def report(medians: dict[int, float]) -> None:
+    """Prints medians [s] by bytes, and the model's."""
+    (least, fastest), *_, (most, slowest) = medians.items()
+    rate = (most - least) / max(slowest - fastest, 1e-12)
+    latency = fastest - least / rate
+    print(f"latency {latency * 1e6:.0f} us, rate {rate / 1e6:.0f} MB/s")
+    print("    bytes   measured [us]   model [us]")
+    for size, seconds in medians.items():
+        print(f"{size:9d} {seconds * 1e6:15.0f} {(latency + size / rate) * 1e6:12.0f}")
+
+
+@contextmanager
+def namespaces(count: int, delay_ms: float) -> Iterator[list[str]]:
+    """Network namespaces on a bridge, each behind a delay; they are removed at the end.
+
+    Raises:
+        SystemExit: with one line if the system refuses.
+    """
+    names = [f"zfall{os.getpid()}-{number}" for number in range(count)]
+    bridge = f"zb{os.getpid()}"[:15]
+    with ExitStack() as undo:
+        _ip("link", "add", bridge, "type", "bridge")
+        undo.callback(_ip, "link", "del", bridge)
+        _ip("link", "set", bridge, "up")
+        for number, name in enumerate(names):
+            _ip("netns", "add", name)
+            undo.callback(_ip, "netns", "del", name)
+            outer = f"zv{os.getpid()}-{number}"[:15]
+            _ip("link", "add", outer, "type", "veth", "peer", "name", "eth0", "netns", name)
+            _ip("link", "set", outer, "master", bridge, "up")
+            inside = ("netns", "exec", name)
+            _ip(*inside, "ip", "addr", "add", f"{NET}.{number + 1}/24", "dev", "eth0")
+            _ip(*inside, "ip", "link", "set", "eth0", "up")
+            delay = f"{delay_ms:g}ms"
+            _ip(*inside, "tc", "qdisc", "add", "dev", "eth0", "root", "netem", "delay", delay)
+        yield names
+
+
+def _ip(*words: str) -> None:
+    done = subprocess.run(["ip", *words], capture_output=True, text=True)
+    if done.returncode:
+        said = " ".join((done.stderr or done.stdout).split())
+        raise SystemExit(f"error: delay_ms must be 0 where ip and tc netem do not work: {said}")
+
+
+def main(words: Sequence[str]) -> None:
+    """Starts the ranks and waits for them."""
+    given = dict(word.split("=", 1) for word in words)
+    own = {key: type(value)(given.get(key, value)) for key, value in OWN.items()}
+    ranks = int(own["ranks"])
+    with ExitStack() as stack:
+        names = None
+        if own["delay_ms"]:
+            names = stack.enter_context(namespaces(ranks, own["delay_ms"]))
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        processes = []
+        for rank in range(ranks):
+            me = [sys.executable, "-m", "benchmarks.all_reduce", f"rank={rank}"]
+            me += [f"ranks={ranks}", f"repeats={int(own['repeats'])}", f"store={folder}/store"]
+            before = ["ip", "netns", "exec", names[rank]] if names else []
+            interface = "eth0" if names else _loopback()
+            env = {**os.environ, "GLOO_SOCKET_IFNAME": interface}
+            processes.append(subprocess.Popen([*before, *me], env=env))
+        codes = [process.wait() for process in processes]
+        if any(codes):
+            raise SystemExit(1)
+
+
+def _loopback() -> str:
+    return next(name for _, name in socket.if_nameindex() if name.startswith("lo"))
+
+
+if __name__ == "__main__":
+    arguments = dict(word.split("=", 1) for word in sys.argv[1:])
+    if "rank" in arguments:
+        numbers = (int(arguments[key]) for key in ("rank", "ranks", "repeats"))
+        work(*numbers, store=arguments["store"])
+    else:
+        main(sys.argv[1:])

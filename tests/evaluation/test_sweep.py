@@ -1,0 +1,50 @@
+"""Worlds made wider, and the table of what becomes of a policy in them."""
+
+import pandas as pd
+import pytest
+
+from zfall.evaluation.definitions import load_battery
+from zfall.evaluation.sweep import sweep_table, widened
+
+WORLD = {
+    "physics": {"draws": {"params": {"foot_friction": {"uniform": [0.5, 1.5], "shared": True}}}},
+    "sensors": {"noise": {"_target_": "a.B", "std": {"joint_position": 0.01}}},
+}
+
+
+@pytest.mark.parametrize(
+    ("width", "bounds", "std"),
+    [
+        (1.0, [0.5, 1.5], 0.01),
+        (0.0, [1.0, 1.0], 0.0),
+        (0.5, [0.75, 1.25], 0.005),
+        (2.0, [0.02, 2.0], 0.02),  # no friction below 0.02
+    ],
+)
+def test_a_world_is_widened_about_its_middle(width, bounds, std):
+    found = widened(WORLD, width)
+    params = found["physics"]["draws"]["params"]
+    assert params["foot_friction"] == {"uniform": pytest.approx(bounds), "shared": True}
+    assert found["sensors"]["noise"] == {"_target_": "a.B", "std": {"joint_position": std}}
+    assert WORLD["sensors"]["noise"]["std"] == {"joint_position": 0.01}
+
+
+@pytest.mark.parametrize("width", [0.0, 1.0, 2.0])
+def test_the_battery_of_the_sweep_is_one_at_every_width(width):
+    world = load_battery("zeroth_sweep").world
+    assert load_battery("zeroth_sweep", world=widened(world, width)).world is not None
+
+
+def test_a_row_of_the_sweep_counts_recoveries_and_falls():
+    """Two directions, two sizes: of 0.2 three of four are recovered, of 0.4 one; I50 0.4 and 0.2."""
+    battery = load_battery("planar", impulses=[0.2, 0.4], starts=2, directions=2)
+    rows = [(0.0, 0.0, True), (3.14, 0.0, False)]
+    rows += [(0.0, 0.2, True), (0.0, 0.2, True), (3.14, 0.2, True), (3.14, 0.2, False)]
+    rows += [(0.0, 0.4, True), (0.0, 0.4, False), (3.14, 0.4, False), (3.14, 0.4, False)]
+    trials = pd.DataFrame(rows, columns=["direction_rad", "impulse", "recovered"])
+    trials = trials.assign(fell=~trials["recovered"], seed=0, target_smoothness=0.0, force_n=1.0)
+    (row,) = sweep_table(battery, {0.5: trials}).to_dict("records")
+    assert row == {
+        "width": 0.5, "I = 0.2": 0.75, "I = 0.4": 0.25, "i50_mean": pytest.approx(0.3),
+        "falls": 1, "control": 2, "pushed": 4,
+    }  # fmt: skip
