@@ -36,7 +36,8 @@ FALLS = {
     "tested_with": {
         "two": {
             "_target_": SWITCHED,
-            "recover": ["experiment=push_to_kneel_recover", "num_envs=16", "rollout_steps=4"],
+            "recover": ["experiment=push_to_kneel_recover", "num_envs=16", "rollout_steps=4",
+                        "epochs=2"],
         },
         "script": {"_target_": SWITCHED, "kneel": "script"},
     },
