@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from hydra.utils import instantiate
 from tensordict import TensorDict
 from torch import nn
 
 from tests.foreign_networks import write_mlp
-from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.battery import run_battery, start_positions
 from zfall.evaluation.candidate import load_candidate
 from zfall.evaluation.definitions import load_battery
@@ -24,7 +24,7 @@ from zfall.robots import ZEROTH01
 # Breadth first, as PhysX numbers joints: none of the orders of ours.
 LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee_pitch", "ankle_pitch", "ankle_roll")
 JOINTS = [f"{side}_{joint}" for joint in LEG for side in ("left", "right")]
-REFERENCE = {name: ZEROTH01.stand.get(name, 0.0) + 0.01 for name in JOINTS}
+REFERENCE = {n: ZEROTH01.stand.get(n, 0.0) + 0.004 * (i % 5 - 2) for i, n in enumerate(JOINTS)}
 SCALE, CONTROL, PHYSICS, STEPS = 0.25, 50, 250, 3
 IMPULSES = (0.15, 0.3, 0.45, 0.6, 0.8)
 
@@ -45,15 +45,16 @@ def trained():
     adam = torch.optim.Adam(mlp.parameters(), 3e-3)
     for _ in range(250):
         parts = [0.15 * torch.randn(128, size) for size in sizes]
-        spin, gravity = (part.view(-1, STEPS, 3)[:, -1] for part in parts[:2])
+        history = [part.view(128, STEPS, -1) for part in parts]
+        (spin, gravity, position, velocity, before) = (each[:, -1] for each in history)
         forward = 2.0 * gravity[:, :1] - 1.0 * spin[:, 1:2]
         aside = 2.0 * gravity[:, 1:2] + 1.0 * spin[:, :1]
-        wanted = torch.zeros(128, len(JOINTS))
+        wanted = 0.1 * history[2][:, 0] - 0.3 * position - 0.2 * velocity + 0.1 * before
         for place, name in enumerate(JOINTS):
             if "ankle_pitch" in name or "hip_pitch" in name:
-                wanted[:, place] = forward[:, 0] * (1 if "left" in name else -1)
+                wanted[:, place] += forward[:, 0] * (1 if "left" in name else -1)
             if "ankle_roll" in name:
-                wanted[:, place] = aside[:, 0]
+                wanted[:, place] += aside[:, 0]
         loss = (mlp(torch.cat(parts, -1)) - wanted).square().mean()
         adam.zero_grad()
         loss.backward()
@@ -96,9 +97,10 @@ def pushed(battery):
     return trials[trials["impulse"] > 0]
 
 
-def own_loop(mlp, base, battery, trial, start) -> bool:
-    """One trial in MuJoCo alone; whether the robot stays up."""
+def own_loop(mlp, base, battery, trial, start, told) -> bool:
+    """One trial in MuJoCo alone; whether the robot stays up. Targets go to ``told``, by joint."""
     model = base.simulation.model
+    assert model.opt.timestep == pytest.approx(1 / PHYSICS)
     data = mujoco.MjData(model)
     dofs = {name: model.joint(name).dofadr[0] for name in JOINTS}
     places = {name: model.joint(name).qposadr[0] for name in JOINTS}
@@ -124,6 +126,7 @@ def own_loop(mlp, base, battery, trial, start) -> bool:
         with torch.no_grad():
             before = np.clip(mlp(seen[None])[0].numpy(), -1.5, 1.5)
         targets = pose | dict(zip(JOINTS, default + SCALE * before, strict=True))
+        told.append([np.clip(targets[j], *model.joint(j).range) for j in base.robot.joints])
         for actuator in range(model.nu):
             name = model.actuator(actuator).name
             data.ctrl[actuator] = np.clip(targets[name], *model.joint(name).range)
@@ -153,15 +156,24 @@ def _touches(model, contact, feet) -> bool:
 
 def test_twenty_pushes_end_as_in_the_policy_s_own_loop(trained, policy, battery, pushed):
     candidate = load_candidate(str(policy))
-    ours = run_battery(battery, candidate.env_cfg, candidate.actor, only=pushed["trial"].tolist())
-    base = HumanoidEnv(num_envs=20, control_dt=1 / CONTROL, physics_dt=1 / PHYSICS)
+    given = candidate.env_cfg, candidate.actor
+    targets = []
+    ours = run_battery(
+        battery,
+        *given,
+        only=pushed["trial"].tolist(),
+        watch=lambda env, td: targets.append(td["target"][: len(pushed)].clone()),
+    )
+    base = instantiate(candidate.env_cfg.base_env, num_envs=20, _convert_="all")  # its servos
     joints = {"joint_position": start_positions(battery, pushed, base)}
     base.reset(TensorDict({"start": TensorDict(joints, [20])}, [20]))  # the soles on the floor
     starts = base.simulation.qpos.numpy().copy()
-    theirs = [
-        own_loop(trained, base, battery, trial, start)
-        for (_, trial), start in zip(pushed.iterrows(), starts, strict=True)
-    ]
+    theirs, standing = [], round(battery.push_time * CONTROL)
+    for number, (_, trial) in enumerate(pushed.iterrows()):
+        told = []
+        theirs.append(own_loop(trained, base, battery, trial, starts[number], told))
+        same = torch.stack([step[number] for step in targets[:standing]]).numpy()
+        np.testing.assert_allclose(same, told[:standing], rtol=0, atol=1e-4)  # [rad]
     assert ours["recovered"].tolist() == theirs
     assert len(theirs) == 20
     assert 4 <= sum(theirs) <= 16  # pushes that tell
