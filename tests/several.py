@@ -27,16 +27,19 @@ class Ended(NamedTuple):
 PRELOAD = ["recipes.train", "zfall.training.begin", "zfall.evaluation.showcase"]
 
 
-def in_each(function: Callable[..., Any], size: int, folder: Path, *args: Any) -> list[Any]:
+def in_each(
+    function: Callable[..., Any], size: int, folder: Path, *args: Any, port: int | None = None
+) -> list[Any]:
     """What ``function(*args)`` gives in each of several processes that can meet, by rank.
 
-    An error is given in its place.
+    An error is given in its place. They meet in a file in the folder, or as those that others
+    start, at a ``port`` of this machine.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOAD)
     folder.mkdir(parents=True, exist_ok=True)
     processes = [
-        context.Process(target=_work, args=(function, rank, size, folder, args))
+        context.Process(target=_work, args=(function, rank, size, folder, args, port))
         for rank in range(size)
     ]
     for process in processes:
@@ -48,9 +51,18 @@ def in_each(function: Callable[..., Any], size: int, folder: Path, *args: Any) -
 
 
 def _work(
-    function: Callable[..., Any], rank: int, size: int, folder: Path, args: tuple[Any, ...]
+    function: Callable[..., Any],
+    rank: int,
+    size: int,
+    folder: Path,
+    args: tuple[Any, ...],
+    port: int | None,
 ) -> None:
-    os.environ |= {"RANK": str(rank), "WORLD_SIZE": str(size), STORE: str(folder / "store")}
+    os.environ |= {"RANK": str(rank), "WORLD_SIZE": str(size)}
+    if port is None:
+        os.environ[STORE] = str(folder / "store")
+    else:
+        os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
     os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo")
     torch.set_num_threads(1)
     try:

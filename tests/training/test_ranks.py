@@ -1,5 +1,6 @@
 """One training in several processes: the same as in one."""
 
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,14 @@ def test_each_of_three_ranks_has_a_third_of_the_worlds_cut_where_groups_end(tmp_
         [Piece(0, 6, 4), Piece(1, 0, 2)],
         [Piece(1, 2, 6)],
     ]
+
+
+def test_ranks_that_others_started_meet_at_an_address(tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    found = in_each(pieces, 3, tmp_path, port=port)
+    assert [own[-1] for own in found] == [Piece(0, 0, 6), Piece(1, 0, 2), Piece(1, 2, 6)]
 
 
 def pieces() -> list[Piece]:
