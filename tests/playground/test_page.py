@@ -106,11 +106,10 @@ def test_a_drag_on_the_robot_pushes_it_and_one_next_to_it_does_not(open_page):
     page = open_page()
     page.evaluate("zfall.ready")
     box = page.locator("#view").bounding_box()
-    right = page.evaluate("zfall.page.scene.level(1, 0)")
     page.evaluate("""() => {
         zfall.pushed = [];
-        const { world } = zfall.page, push = world.push.bind(world);
-        world.push = (given) => { zfall.pushed.push(given); push(given); };
+        const { world, scene } = zfall.page, push = world.push.bind(world);
+        world.push = (given) => { zfall.pushed.push({ ...given, right: scene.level(1, 0) }); push(given); };
     }""")
     middle = (box["x"] + box["width"] / 2, box["y"] + 0.45 * box["height"])
     for x, length in ((box["x"] + 10, 5), (middle[0], 60)):
@@ -120,7 +119,7 @@ def test_a_drag_on_the_robot_pushes_it_and_one_next_to_it_does_not(open_page):
         page.mouse.up()
     (push,) = page.evaluate("zfall.pushed")
     assert push["impulse"] == pytest.approx(0.3)
-    assert push["heading"] == pytest.approx(right, abs=0.01)
+    assert push["heading"] == pytest.approx(push["right"], abs=0.01)
     assert page.evaluate("zfall.page.world.model.body_mass")[push["body"]] > 0
     assert np.linalg.norm(push["place"][:2]) < 0.2
     assert 0.0 < push["place"][2] < 0.5
