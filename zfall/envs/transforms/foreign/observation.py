@@ -13,7 +13,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.foreign.joints import places, reference_pose
-from zfall.envs.transforms.foreign.terms import MOST_ACTIONS, Seen, Term
+from zfall.envs.transforms.foreign.seen import MOST_ACTIONS, Seen, Term
 from zfall.envs.transforms.values import reset_rows
 from zfall.errors import named
 from zfall.simulation.model import base_center_of_mass

@@ -130,15 +130,21 @@ class ImuOrientation(Transform):
     (w, x, y, z), base to world.
     """
 
+    reads: ClassVar[tuple[str, ...]] = ("base_orientation",)
     units: ClassVar[Mapping[str, str]] = {"imu_orientation": "1, w x y z, w >= 0"}
     measured = True
     forward = on_data
 
     def __init__(self) -> None:
-        super().__init__(in_keys=["base_orientation"], out_keys=["imu_orientation"])
+        super().__init__(in_keys=list(self.reads), out_keys=["imu_orientation"])
+
+    @staticmethod
+    def orientation(*read: Tensor) -> Tensor:
+        """The quaternion ``(*B, 4)`` of what is read."""
+        return positive_half(*read)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        _write(next_tensordict, "imu_orientation", positive_half, self.in_keys)
+        _write(next_tensordict, "imu_orientation", self.orientation, self.in_keys)
         return next_tensordict
 
     def _reset(
@@ -148,13 +154,13 @@ class ImuOrientation(Transform):
 
     def on_robot(self) -> OnRobot:
         """The same on a robot that is given what it reads."""
-        return Derived(self.in_keys, {"imu_orientation": positive_half})
+        return Derived(self.in_keys, {"imu_orientation": self.orientation})
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         return _declare(observation_spec, "imu_orientation", (4,), self.in_keys)
 
 
-class OrientationToHeading(Transform):
+class OrientationToHeading(ImuOrientation):
     """The quaternion of an IMU, turned back by the heading that is commanded.
 
     A robot that heads where it shall has the yaw 0 in it: its policy need not know where north is.
@@ -164,29 +170,12 @@ class OrientationToHeading(Transform):
     ``Command`` writes; writes ``imu_orientation`` ``(N, 4)``, (w, x, y, z).
     """
 
-    units: ClassVar[Mapping[str, str]] = {"imu_orientation": "1, w x y z, w >= 0"}
-    measured = True
-    forward = on_data
+    reads: ClassVar[tuple[str, ...]] = ("base_orientation", "commanded_heading")
 
-    def __init__(self) -> None:
-        keys = ["base_orientation", "commanded_heading"]
-        super().__init__(in_keys=keys, out_keys=["imu_orientation"])
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        _write(next_tensordict, "imu_orientation", to_heading, self.in_keys)
-        return next_tensordict
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return self._call(tensordict_reset)
-
-    def on_robot(self) -> OnRobot:
-        """The same on a robot that is given what it reads."""
-        return Derived(self.in_keys, {"imu_orientation": to_heading})
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        return _declare(observation_spec, "imu_orientation", (4,), self.in_keys)
+    @staticmethod
+    def orientation(*read: Tensor) -> Tensor:
+        """The quaternion ``(*B, 4)`` of what is read."""
+        return to_heading(*read)
 
 
 def roll_pitch(orientation: Tensor) -> Tensor:
