@@ -93,7 +93,10 @@ def _carry(ends: list[int], delay: float, over: threading.Event) -> None:
 
 
 def _ip(*words: str) -> None:
-    done = subprocess.run(["ip", *words], capture_output=True, text=True)
+    try:
+        done = subprocess.run(["ip", *words], capture_output=True, text=True)
+    except FileNotFoundError as error:
+        raise SystemExit("error: delay_ms needs the program ip, of iproute2") from error
     if done.returncode:
         said = " ".join((done.stderr or done.stdout).split())
         raise SystemExit(f"error: delay_ms must be 0 where network namespaces do not work: {said}")

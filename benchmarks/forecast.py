@@ -20,7 +20,10 @@ from typing import Any
 import numpy as np
 
 SIZES, ROUNDS = (64, 256, 1024), 5
-WAITS = (2, 8)  # for a sum over ranks: in each minibatch, and after them
+# Waits for a sum over ranks, besides two in each minibatch and one in each pass: for the reward and
+# two normalisers; and of the loop two for metrics, one for a check of weights, one for the end.
+AFTER = 7
+MANY = 2**18  # rows by which it is measured what every rank draws for all worlds
 STEP = 1e-4  # of a sum between two processes of one machine [s]; measured: a quarter of 0.4 ms
 ONE_WAY, RATE = 5e-5, 1e9  # of a network within a room [s], [bytes/s]
 MACHINES = (  # machines, ranks on each, cores of a rank
@@ -31,12 +34,17 @@ MACHINES = (  # machines, ranks on each, cores of a rank
 
 @dataclass(frozen=True)
 class Costs:
-    """Of one core: a control step of a group, a minibatch, and what they grow by [s]."""
+    """Of one core: a control step of a group, a minibatch, and what they grow by [s].
+
+    ``drawn``: what every rank of several does for each sample of all: noise of the actions, the
+    order of samples and which are its own.
+    """
 
     step: float
     world: float
     minibatch: float
     sample: float
+    drawn: float
     parameters: int
 
 
@@ -82,7 +90,27 @@ def measured(overrides: Sequence[str]) -> tuple[Costs, Any]:
     samples = [worlds * cfg.rollout_steps / cfg.minibatches for worlds in SIZES]
     sample, minibatch = np.polyfit(samples, minibatches, 1, w=1 / np.array(minibatches))
     parameters = sum(each.numel() for each in learner.parameters)
-    return Costs(step, world, minibatch, sample, parameters), cfg
+    return Costs(
+        step,
+        world,
+        minibatch,
+        sample,
+        drawn(learner.carrier["action"].shape[-1], cfg.epochs),
+        parameters,
+    ), cfg
+
+
+def drawn(numbers: int, epochs: int) -> float:
+    """What drawing for all takes for a sample [s]: ``numbers`` of noise, its place in a pass."""
+    import torch
+
+    began = time.perf_counter()
+    torch.randn(MANY, numbers)
+    noise = time.perf_counter() - began
+    began = time.perf_counter()
+    chosen = torch.randperm(MANY)
+    ((chosen >= 0) & (chosen < MANY // 2)).nonzero()
+    return (noise + epochs * (time.perf_counter() - began)) / MANY
 
 
 def forecast(costs: Costs, cfg: Any, worlds: int, layout: tuple[int, int, int]) -> Update:
@@ -97,9 +125,11 @@ def forecast(costs: Costs, cfg: Any, worlds: int, layout: tuple[int, int, int]) 
     waiting = 0.0
     if ranks > 1:
         hop = STEP + (ONE_WAY if machines > 1 else 0.0)
-        waits = WAITS[0] * many + WAITS[1]  # gloo's ring: 2 (R - 1) steps, each asked for and sent
+        waits = 2 * many + cfg.epochs + AFTER
+        # gloo's ring has 2 (R - 1) steps, and each is asked for and sent.
         sent = 2 * (ranks - 1) / ranks * 4 * costs.parameters * many
         waiting = waits * 4 * (ranks - 1) * hop + sent / RATE
+        learning += costs.drawn * worlds * cfg.rollout_steps
     return Update(cfg.rollout_steps * step, learning, waiting)
 
 

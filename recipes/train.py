@@ -43,7 +43,7 @@ def main(cfg: DictConfig) -> None:
             folder = Path(cfg.resume)
             check_holds_run(folder, "resume")
             remove_if_empty(made)  # it is not needed
-        if is_launcher(cfg.launch.ranks):
+        if is_launcher(cfg.launch.ranks, cfg.num_envs if folder == made else 0):
             command = again(f"{__package__}.train", made if folder == made else None)
             raise SystemExit(run_ranks(command, cfg.launch.ranks, folder))
         with ranks_of(cfg) as ranks:

@@ -15,8 +15,11 @@ needs_root = pytest.mark.skipif(
     not (hasattr(os, "geteuid") and os.geteuid() == 0 and os.access("/dev/net/tun", os.R_OK)),
     reason="network namespaces and tun devices need root",
 )
+ASKED = 5
 CFG = SimpleNamespace(rollout_steps=8, epochs=2, minibatches=5)
-COSTS = Costs(step=0.01, world=0.001, minibatch=0.02, sample=0.0001, parameters=1_000_000)
+COSTS = Costs(
+    step=0.01, world=0.001, minibatch=0.02, sample=0.0001, drawn=1e-6, parameters=1_000_000
+)
 
 
 @needs_root
@@ -28,10 +31,10 @@ def test_a_packet_and_its_answer_take_two_delays():
         asking = context.Process(target=ask, args=(here, ready, took))
         answering.start()
         asking.start()
-        seconds = took.get(timeout=60)
+        seconds = [took.get(timeout=60) for _ in range(ASKED)]
         for process in (asking, answering):
             process.join(10)
-    assert 0.060 <= seconds < 0.090
+    assert 0.060 <= min(seconds) < 0.090  # a busy machine is late, not always
 
 
 def answer(namespace, ready):
@@ -39,21 +42,20 @@ def answer(namespace, ready):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
         end.bind((f"{NET}.2", 5005))
         ready.set()
-        for _ in range(2):
+        for _ in range(ASKED):
             packet, sender = end.recvfrom(10)
             end.sendto(packet, sender)
 
 
 def ask(namespace, ready, took):
-    """The second of two questions counts: addresses are known by then."""
     enter(namespace)
     ready.wait(60)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
-        for _ in range(2):
+        for _ in range(ASKED):
             began = time.monotonic()
             end.sendto(b"?", (f"{NET}.2", 5005))
             end.recv(10)
-    took.put(time.monotonic() - began)
+            took.put(time.monotonic() - began)
 
 
 def test_an_update_of_one_core_is_its_steps_and_its_minibatches():
@@ -70,8 +72,14 @@ def test_with_more_cores_the_longer_of_physics_and_python_counts(worlds, step):
 
 
 def test_ranks_wait_for_a_ring_in_each_minibatch():
-    """28 waits of 4 (R - 1) steps of 0.1 ms, and ten gradients of 4 MB, 1.5 times each."""
+    """29 waits of 4 (R - 1) steps of 0.1 ms, and ten gradients of 4 MB, 1.5 times each."""
     waiting = forecast(COSTS, CFG, worlds=100, layout=(1, 4, 1)).waiting
-    assert waiting == pytest.approx(28 * 4 * 3 * 1e-4 + 10 * 4e6 * 1.5 / 1e9)
+    assert waiting == pytest.approx(29 * 4 * 3 * 1e-4 + 10 * 4e6 * 1.5 / 1e9)
     apart = forecast(COSTS, CFG, worlds=100, layout=(4, 1, 1)).waiting
-    assert apart - waiting == pytest.approx(28 * 4 * 3 * 5e-5)
+    assert apart - waiting == pytest.approx(29 * 4 * 3 * 5e-5)
+
+
+def test_every_rank_draws_for_all_worlds():
+    """Four cores as four ranks: a quarter of the samples, and 800 us for the draws of 800."""
+    update = forecast(COSTS, CFG, worlds=100, layout=(1, 4, 1))
+    assert update.learning == pytest.approx(10 * (0.02 + 40 * 0.0001) + 800e-6)

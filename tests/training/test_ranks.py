@@ -153,6 +153,26 @@ def test_numbers_that_could_not_be_shared_are_refused():
         torch.bernoulli(torch.full((3,), 0.5))
 
 
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rows: torch.normal(rows, 0.1),
+        lambda rows: rows.normal_(std=0.1),
+        lambda rows: torch.randn(3, 2, requires_grad=False),
+        lambda rows: torch.nn.functional.alpha_dropout(rows, 0.5, training=True),
+        lambda rows: torch.distributions.Gamma(rows + 2.0, rows + 2.0).sample(),
+        lambda rows: rows.repeat(5, 1).normal_(),
+    ],
+    ids=["number", "keyword", "flag", "dropout", "gamma", "flattened"],
+)
+def test_draws_that_are_not_known_are_refused_by_the_generator_that_has_moved(draw):
+    with (
+        pytest.raises(ValueError, match=r"launch\.ranks must be 1 .* draws are not for the rows"),
+        DrawnTogether(3, lambda asked: asked.of(3)),
+    ):
+        draw(torch.zeros(3, 2))
+
+
 def test_ranks_that_have_come_apart_are_found(tmp_path):
     errors = in_each(apart, 2, tmp_path)
     for error in errors:

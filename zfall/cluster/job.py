@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,7 @@ from omegaconf import DictConfig
 
 from zfall.cores import use_cores
 from zfall.errors import SPOKEN, in_one_line
-
-PACKAGES = (
-    "zfall",
-    "torch",
-    "torchrl",
-    "tensordict",
-    "mujoco",
-)  # a run's bits depend on them
+from zfall.fingerprints import versions
 
 
 @dataclass(frozen=True)
@@ -84,11 +76,6 @@ class Ending:
 
     value: Any = None
     error: str = ""
-
-
-def versions() -> dict[str, str]:
-    """Of the packages that must be the same everywhere."""
-    return {name: version(name) for name in PACKAGES}
 
 
 def recipe_of(task: TaskFunction) -> str:

@@ -18,10 +18,11 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from zfall.cluster.connection import connected
-from zfall.cluster.job import Ending, Job, Sweep, execute, recipe_of, versions
+from zfall.cluster.job import Ending, Job, Sweep, execute, recipe_of
 from zfall.cluster.mirror import Keeper, on_own_disk
 from zfall.commands import shown_path
 from zfall.errors import check_number
+from zfall.fingerprints import versions
 
 KEY = "hydra.launcher"
 _PLUGINS = str(Path(__file__).with_name("plugins"))

@@ -60,11 +60,28 @@ class DrawnTogether(TorchFunctionMode):
     Args:
         rows: at hand, the length of one of the first two axes of what is drawn for them.
         supply: gives the numbers of these rows for a draw.
+
+    Raises:
+        ValueError: at its end, if torch's global generator of the CPU has moved by anything else.
     """
 
     def __init__(self, rows: int, supply: Callable[[Draw], Tensor]):
         super().__init__()
         self.rows, self.supply = rows, supply
+        self._state = torch.get_rng_state()
+
+    def __exit__(self, kind: Any, value: Any, traceback: Any) -> None:
+        super().__exit__(kind, value, traceback)
+        if kind is None:
+            self._check_unmoved()
+
+    def _check_unmoved(self) -> None:
+        if not torch.equal(self._state, torch.get_rng_state()):
+            raise ValueError(
+                "launch.ranks must be 1 for a policy or loss whose draws are not for the rows at "
+                "hand, each its own, by randn, rand, randn_like, rand_like, normal_, uniform_ or "
+                "normal(mean, std) of tensors."
+            )
 
     def __torch_function__(
         self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None
@@ -87,7 +104,10 @@ class DrawnTogether(TorchFunctionMode):
             return None
         shape = tuple(1 if i == axis else size for i, size in enumerate(like.shape))
         order = tuple(sorted(range(like.dim()), key=lambda i: (-like.stride()[i], i)))
-        return self.supply(Draw(method, values, shape, order, axis, like.dtype, like.device))
+        self._check_unmoved()
+        drawn = self.supply(Draw(method, values, shape, order, axis, like.dtype, like.device))
+        self._state = torch.get_rng_state()
+        return drawn
 
 
 def _like(method: str) -> Callable[..., Any]:

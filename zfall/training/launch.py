@@ -20,6 +20,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 
 STORE = "ZFALL_STORE"  # the file by which processes that we start meet
+LAUNCHER = "ZFALL_LAUNCHER"  # the process that started them, by number
 LOST = 75  # exit code of a rank that has lost another one
 _POLL, _PATIENCE = 0.1, 5.0  # between two looks, and for an end that was asked for [s]
 _OF_A_RANK = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
@@ -34,16 +35,19 @@ def is_rank() -> bool:
     return int(os.environ.get("WORLD_SIZE", "1")) > 1 and "RANK" in os.environ
 
 
-def is_launcher(ranks: int | None) -> bool:
+def is_launcher(ranks: int | None, worlds: int) -> bool:
     """Whether this process is to start the ranks of a training.
 
     Raises:
-        ValueError: if it would do so for each of several trainings.
+        ValueError: if it would do so for each of several trainings, or the ``worlds`` do not
+            divide; these are 0 if they are not known yet.
     """
     if is_rank() or ranks in (None, 1):
         return False
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         raise ValueError(f"launch.ranks must be null or 1 in a sweep, got {ranks}.")
+    if worlds % ranks:
+        raise ValueError(f"num_envs must be a multiple of launch.ranks, {ranks}, got {worlds}.")
     return True
 
 
@@ -70,8 +74,8 @@ def share_cores() -> None:
 
 
 def end_with_parent() -> None:
-    """Ends this process within a second of whoever started it, however that ends."""
-    parent = os.getppid()
+    """Ends this process within a second of whoever started it, however and whenever that ends."""
+    parent = int(os.environ.get(LAUNCHER, os.getppid()))
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -96,8 +100,8 @@ def one_voice() -> Iterator[None]:
             raise
         lost = isinstance(stop.__context__, RankLost)
         told_by_launcher = lost and STORE in os.environ
-        if not told_by_launcher and _may_speak(lost):
-            print(stop.code, file=sys.stderr)
+        if not told_by_launcher:
+            _speak(str(stop.code), lost)
         _leave(LOST if lost else 1)
 
 
@@ -116,14 +120,29 @@ def met(store: Any) -> None:
     _met[:] = [store]
 
 
-def _may_speak(lost: bool) -> bool:
-    """Whether this is the first to say something; before they met, the first of its machine."""
+def _speak(line: str, lost: bool) -> None:
+    """Says it if this is the first to say something; else waits until that one has.
+
+    Who ends first has the others ended, by us or by ``torchrun``, which must not happen before
+    the line is written. Before they met, the first of each machine speaks.
+    """
     if not _met:
-        return os.environ.get("LOCAL_RANK", "0") == "0"
+        if os.environ.get("LOCAL_RANK", "0") == "0":
+            print(line, file=sys.stderr, flush=True)
+        else:
+            time.sleep(1.0)
+        return
     try:
-        return bool(_met[0].add("spoken", 1) == 1)
+        if _met[0].add("speaking", 1) == 1:
+            print(line, file=sys.stderr, flush=True)
+            _met[0].set("spoken", "1")
+            return
+        until = time.monotonic() + _PATIENCE
+        while not _met[0].check(["spoken"]) and time.monotonic() < until:
+            time.sleep(_POLL)
     except RuntimeError:  # the store has gone with its process
-        return not lost
+        if not lost:
+            print(line, file=sys.stderr, flush=True)
 
 
 def run_ranks(command: Sequence[str], ranks: int, folder: Path) -> int:
@@ -138,7 +157,7 @@ def run_ranks(command: Sequence[str], ranks: int, folder: Path) -> int:
         folder: of the run, for the message.
     """
     with tempfile.TemporaryDirectory(prefix="zfall-") as meeting:
-        shared = {**os.environ, STORE: str(Path(meeting) / "store")}
+        shared = {**os.environ, STORE: str(Path(meeting) / "store"), LAUNCHER: str(os.getpid())}
         shared |= {"WORLD_SIZE": str(ranks), "LOCAL_WORLD_SIZE": str(ranks)}
         if sys.platform == "linux":  # else gloo asks for the address of the machine's name
             shared.setdefault("GLOO_SOCKET_IFNAME", "lo")

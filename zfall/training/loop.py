@@ -91,8 +91,13 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         Whether it came to its end; False if ctrl-c ended it early.
 
     Raises:
-        ValueError: if another process trains there.
+        ValueError: if another process trains there, or it asks for several ranks.
     """
+    if cfg.launch.ranks not in (None, 1):
+        raise ValueError(
+            f"launch.ranks must be null or 1 for a training that a study or a program of yours "
+            f"starts, got {cfg.launch.ranks}."
+        )
     with full_disk_named(folder), owned(folder), quiet_threads():
         path = folder / "checkpoints" / "last.pt"
         state = None

@@ -12,9 +12,9 @@ import torch
 import torch.distributed as dist
 from omegaconf import DictConfig
 
-import zfall
 from zfall.configs import plain_containers
 from zfall.cores import usable_cores
+from zfall.fingerprints import versions
 from zfall.training.launch import STORE, RankLost, is_rank, met
 from zfall.training.ranks import ALONE, Ranks
 from zfall.training.run_folder import LOCK, owned
@@ -105,9 +105,9 @@ def _check_one_mind(ranks: SeveralRanks, cfg: DictConfig) -> None:
     Raises:
         ValueError: naming the first difference.
     """
-    versions = {"zfall's version": zfall.__version__, "torch's version": torch.__version__}
+    known = {f"{name}'s version": number for name, number in versions().items()}
     flat = dict(_leaves(plain_containers(cfg)))
-    everyone = ranks.gathered(versions | flat)
+    everyone = ranks.gathered(known | flat)
     for rank, other in enumerate(everyone):
         for key in {**everyone[0], **other}:
             mine, theirs = everyone[0].get(key), other.get(key)

@@ -89,8 +89,8 @@ class SeveralRanks:
                             one.narrow(draw.axis, own.first, own.worlds).clone()
                             for one, draw in zip(numbers, self._pattern, strict=True)
                         ])  # fmt: skip
-        coming = iter(zip(self._drawn[piece].popleft(), self._pattern, strict=True))
-        return DrawnTogether(rows, partial(_supplied, coming))
+        coming = list(zip(self._drawn[piece].popleft(), self._pattern, strict=True))[::-1]
+        return _all_of(coming, DrawnTogether(rows, partial(_supplied, coming)))
 
     def _noted(self, rows: int, draw: Draw) -> Tensor:
         assert self._pattern is not None
@@ -254,11 +254,25 @@ class SeveralRanks:
             ) from error
 
 
-def _supplied(coming: Iterator[tuple[Tensor, Draw]], draw: Draw) -> Tensor:
-    numbers, expected = next(coming, (None, None))
-    if numbers is None or draw != expected:
-        raise ValueError(
-            "launch.ranks must be 1 for a policy that does not draw the same kinds of numbers in "
-            "every step."
-        )
-    return numbers
+Coming = list[tuple[Tensor, Draw]]  # the next one last
+
+
+def _supplied(coming: Coming, draw: Draw) -> Tensor:
+    if not coming or coming[-1][1] != draw:
+        raise _irregular()
+    return coming.pop()[0]
+
+
+@contextmanager
+def _all_of(coming: Coming, drawing: AbstractContextManager[Any]) -> Iterator[None]:
+    with drawing:
+        yield
+    if coming:
+        raise _irregular()
+
+
+def _irregular() -> ValueError:
+    return ValueError(
+        "launch.ranks must be 1 for a policy that does not draw the same kinds of numbers in every "
+        "step."
+    )

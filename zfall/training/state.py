@@ -58,6 +58,7 @@ def restore(learner: "Learner", state: dict[str, Any]) -> list[str]:
     torch.set_rng_state(state["rng"])
     learner.transfers.load_state_dict(state)
     # Sums over parts, one for each thread, are rounded in another order with another number.
-    torch.set_num_threads(state.get("threads", torch.get_num_threads()))
+    if "redrawn" not in state:  # else it goes on with other ranks, and their cores
+        torch.set_num_threads(state.get("threads", torch.get_num_threads()))
     learner.frames, learner.updates = state["frames"], state["updates"]
     return notes

@@ -32,7 +32,12 @@ class Transfers:
                 f"device must be cpu, or one of {found} GPUs that torch finds here, got {device}."
             )
         if device == "cuda":
-            device = f"cuda:{int(os.environ.get('LOCAL_RANK', '0')) % found}"
+            if found < (here := int(os.environ.get("LOCAL_WORLD_SIZE", "1"))):
+                raise ValueError(
+                    f"launch.ranks must have a GPU each, there are {here} on this machine and "
+                    f"{found} GPUs."
+                )
+            device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
         self.device = torch.device(device)
         self._pins = self.device.type == "cuda"
         self._copies = self.device.type != "cpu" if copies is None else copies
