@@ -5,7 +5,9 @@
 
 For each size it prints the median and what the model says. The model is the straight line through
 the smallest and the largest size: ``seconds = latency + bytes / rate``. With a delay, ranks are in
-network namespaces that a bridge connects, and ``tc netem`` holds every packet back for so long.
+network namespaces, and every packet between them is late by so much. Then the latency should be
+``4 (ranks - 1)`` times the delay: gloo's ring takes 2 (ranks - 1) steps, and each is asked for
+before it is sent.
 """
 
 import os
@@ -15,13 +17,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from datetime import timedelta
+from pathlib import Path
 
 OWN = {"ranks": 2, "repeats": 200, "delay_ms": 0.0}
-FLOATS = (8, 1024, 16_384, 131_072, 524_288, 2_097_152)
-NET = "10.213.77"  # of the namespaces, which no other network sees
+FLOATS = (1024, 16_384, 131_072, 524_288, 2_097_152)
 
 
 def work(rank: int, ranks: int, repeats: int, store: str) -> None:
@@ -58,56 +60,24 @@ def report(medians: dict[int, float]) -> None:
         print(f"{size:9d} {seconds * 1e6:15.0f} {(latency + size / rate) * 1e6:12.0f}")
 
 
-@contextmanager
-def namespaces(count: int, delay_ms: float) -> Iterator[list[str]]:
-    """Network namespaces on a bridge, each behind a delay; they are removed at the end.
-
-    Raises:
-        SystemExit: with one line if the system refuses.
-    """
-    names = [f"zfall{os.getpid()}-{number}" for number in range(count)]
-    bridge = f"zb{os.getpid()}"[:15]
-    with ExitStack() as undo:
-        _ip("link", "add", bridge, "type", "bridge")
-        undo.callback(_ip, "link", "del", bridge)
-        _ip("link", "set", bridge, "up")
-        for number, name in enumerate(names):
-            _ip("netns", "add", name)
-            undo.callback(_ip, "netns", "del", name)
-            outer = f"zv{os.getpid()}-{number}"[:15]
-            _ip("link", "add", outer, "type", "veth", "peer", "name", "eth0", "netns", name)
-            _ip("link", "set", outer, "master", bridge, "up")
-            inside = ("netns", "exec", name)
-            _ip(*inside, "ip", "addr", "add", f"{NET}.{number + 1}/24", "dev", "eth0")
-            _ip(*inside, "ip", "link", "set", "eth0", "up")
-            delay = f"{delay_ms:g}ms"
-            _ip(*inside, "tc", "qdisc", "add", "dev", "eth0", "root", "netem", "delay", delay)
-        yield names
-
-
-def _ip(*words: str) -> None:
-    done = subprocess.run(["ip", *words], capture_output=True, text=True)
-    if done.returncode:
-        said = " ".join((done.stderr or done.stdout).split())
-        raise SystemExit(f"error: delay_ms must be 0 where ip and tc netem do not work: {said}")
-
-
 def main(words: Sequence[str]) -> None:
     """Starts the ranks and waits for them."""
+    from benchmarks.delayed_network import DEVICE, delayed_network
+
     given = dict(word.split("=", 1) for word in words)
     own = {key: type(value)(given.get(key, value)) for key, value in OWN.items()}
     ranks = int(own["ranks"])
     with ExitStack() as stack:
         names = None
         if own["delay_ms"]:
-            names = stack.enter_context(namespaces(ranks, own["delay_ms"]))
+            names = stack.enter_context(delayed_network(ranks, own["delay_ms"]))
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         processes = []
         for rank in range(ranks):
             me = [sys.executable, "-m", "benchmarks.all_reduce", f"rank={rank}"]
             me += [f"ranks={ranks}", f"repeats={int(own['repeats'])}", f"store={folder}/store"]
             before = ["ip", "netns", "exec", names[rank]] if names else []
-            interface = "eth0" if names else _loopback()
+            interface = DEVICE if names else _loopback()
             env = {**os.environ, "GLOO_SOCKET_IFNAME": interface}
             processes.append(subprocess.Popen([*before, *me], env=env))
         codes = [process.wait() for process in processes]
@@ -120,6 +90,7 @@ def _loopback() -> str:
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parents[1]))
     arguments = dict(word.split("=", 1) for word in sys.argv[1:])
     if "rank" in arguments:
         numbers = (int(arguments[key]) for key in ("rank", "ranks", "repeats"))

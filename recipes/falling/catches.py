@@ -101,8 +101,8 @@ def search_apart(cfg: DictConfig, parts: Path, catches: "Catches", robot: "Robot
     from zfall.falling.movements import HEADINGS, load_catches
     from zfall.studies.launch import sweep
 
-    done = {heading: parts / f"[{heading}]" / OUTCOMES for heading in cfg.headings}
-    more = ["launcher=basic", f"hydra.sweep.dir={parts}", "hydra.sweep.subdir=${headings}"]
+    done = {heading: parts / str(heading) / OUTCOMES for heading in cfg.headings}
+    more = ["launcher=basic", f"hydra.sweep.dir={parts}", "hydra.sweep.subdir=${headings.0}"]
     where = {"launcher": cfg.launcher, "launch": cfg.launch, "log": parts.with_suffix(".log")}
     if todo := [[heading] for heading, file in done.items() if not file.exists()]:
         sweep("headings", todo, module=f"{__package__}.catches", more=more, **where)

@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from zfall.evaluation.published import PUSHES, published_table
+from zfall.evaluation.pendulum import stand_support
+from zfall.evaluation.published import PUSHES, Jump, jumps_table, published_table, robots_table
 from zfall.robots import ZEROTH01
 
 
@@ -46,3 +48,19 @@ def test_larger_pushes_of_a_system_are_larger_by_all_figures(table):
     for name in ("impulse", "sudden", "force_n", "of_no_step_forward", "of_no_step_sideways"):
         for system in ("iCub", "Zeroth-01"):
             assert table.loc[system][name].is_monotonic_increasing
+
+
+def test_a_jump_of_velocity_is_its_speed_in_units_of_the_robots_own():
+    """2 m/s of a robot whose center of mass is 0.22 m high: 2 / sqrt(9.81 x 0.22)."""
+    jump = Jump(system="a simulator", robot=ZEROTH01.name, speed=2.0, interval=(5.0, 10.0))
+    row = jumps_table([ZEROTH01], [jump]).iloc[0]
+    assert row["impulse"] == pytest.approx(2 / math.sqrt(9.81 * 0.22), rel=2e-3)
+    edge = np.abs(stand_support(ZEROTH01)[:, 1]).max()  # of the soles, to the side
+    assert row["of_no_step_sideways"] == pytest.approx(row["impulse"] / (edge / 0.22), rel=0.02)
+
+
+def test_a_robots_pushes_last_as_long_in_units_of_its_own_time():
+    row = robots_table([ZEROTH01]).iloc[0]
+    assert row["impulse_unit"] == pytest.approx(3.349 * math.sqrt(9.81 * 0.22), rel=5e-3)
+    assert row["time_unit"] == pytest.approx(math.sqrt(0.22 / 9.81), rel=5e-3)
+    assert row["force_n"] == pytest.approx(0.1 * row["impulse_unit"] / 0.1)  # it is the first

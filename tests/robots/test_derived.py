@@ -196,6 +196,36 @@ def test_an_mjcf_that_is_not_there_is_refused(tmp_path, mjcf, says):
         Robot(name="toy", mjcf=place)
 
 
+def test_a_robot_that_its_servos_do_not_hold_can_be_meant_so(tmp_path):
+    """Its height is then that of the pose, before it sinks into its servos."""
+    leaning = 'qpos="0 0 0.3 1 0 0 0 1.2 0 0 -1.2 0 0"'
+    with pytest.raises(ValueError, match="held: false if that is meant"):
+        toy(tmp_path, key=leaning)
+    stiff = toy(tmp_path)
+    soft = Robot(name="toy", mjcf=stiff.mjcf, held=False)
+    data = mujoco.MjData(model := bare_model(soft))
+    mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
+    mujoco.mj_forward(model, data)
+    assert soft.com_height == pytest.approx(float(data.subtree_com[1, 2]))
+    assert soft.com_height == pytest.approx(stiff.com_height, rel=0.02)
+    assert soft.com_height > stiff.com_height  # which has sunk into its servos
+    (tmp_path / "soft").mkdir()
+    lean = Robot(name="toy", mjcf=str(toy_mjcf(tmp_path / "soft", key=leaning)), held=False)
+    assert lean.com_height > 0
+
+
+def test_a_foot_that_meets_the_floor_by_a_pair_alone_is_one(tmp_path):
+    """As in MuJoCo Playground, whose other geoms meet nothing."""
+    foot = (
+        '<geom name="{side}" type="box" size="0.06 0.03 0.01" mass="0.1" contype="0" '
+        'conaffinity="0"/>'
+    )
+    pairs = "".join(f'<pair geom1="{side}" geom2="floor"/>' for side in ("left", "right"))
+    floor = '<worldbody><geom name="floor" type="plane" size="0 0 1"/></worldbody>'
+    robot = toy(tmp_path, foot=foot, more=f"{floor}<contact>{pairs}</contact>")
+    assert robot.sole_half_size == pytest.approx((0.06, 0.03))
+
+
 def test_of_a_folder_with_several_mjcf_the_file_must_be_named(tmp_path):
     toy_mjcf(tmp_path)
     (tmp_path / "scene.xml").write_text("<mujoco/>")

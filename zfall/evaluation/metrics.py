@@ -16,6 +16,7 @@ from zfall.evaluation.followers import Ended, Moment, followers_of
 from zfall.rotations import tilt
 
 MEASURES = 3  # version of what the columns mean: raise it when that changes
+LYING = 0.3  # share of the height below which a robot has fallen whose body meets no floor
 STANDING = 2.0  # time before the push in which smoothness is measured [s]
 
 
@@ -61,6 +62,7 @@ class Outcomes:
         n = env.num_envs
         self.battery, self.control_dt = battery, env.control_dt
         self.height = battery.min_height * env.robot.com_height
+        self.lying = LYING * env.robot.com_height
         self.regions = env.regions
         self.time = 0.0
         self.fell = torch.zeros(n, dtype=torch.bool)
@@ -80,13 +82,14 @@ class Outcomes:
         """Takes in what followed a control step."""
         self.time += self.control_dt
         self.diverged |= td["diverged"].squeeze(-1)
-        touched = body_contact(td, td).squeeze(-1) | self.diverged
+        height = td["com_position"][:, 2]
+        touched = body_contact(td, td).squeeze(-1) | self.diverged | (height < self.lying)
         first = touched & ~self.fell
         self.fell |= touched
         since_push = self.time - self.battery.push_time
         self.time_to_fall = torch.where(first, since_push, self.time_to_fall)
         angle = tilt(td["base_orientation"])
-        self.upright = (angle < self.battery.max_tilt) & (td["com_position"][:, 2] > self.height)
+        self.upright = (angle < self.battery.max_tilt) & (height > self.height)
         if self.battery.aftermath is not None:
             self.settled = self.fell & (since_push >= self.time_to_fall + self.battery.aftermath)
         if -STANDING + 1e-6 < since_push < 1e-6:
@@ -125,10 +128,11 @@ class Outcomes:
             for name, value in follower.table(ended).items()
         }
         outcomes = [name for follower in self.followers for name in follower.outcomes]
+        body = self.peak_contact_force[:, :-2]  # the feet come last; some models have nothing else
         peaks = {
             "peak_tilt": self.peak_tilt,
             "peak_base_acceleration": self.peak_base_acceleration,
-            "peak_contact_force": self.peak_contact_force[:, :-2].amax(-1),  # the feet come last
+            "peak_contact_force": body.amax(-1) if body.shape[-1] else body.sum(-1),
             "peak_joint_torque": self.peak_joint_torque,
         }
         by_region = {

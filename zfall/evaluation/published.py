@@ -1,4 +1,4 @@
-"""Pushes of the three published systems, in units in which robots of all sizes compare."""
+"""Pushes that others published, in units in which robots of all sizes compare."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -127,6 +127,86 @@ def published_table(robot: Robot, pushes: Sequence[PublishedPush] = PUSHES) -> p
                 "duration_s": duration,
                 "of_no_step_forward": size / bound[0],
                 "of_no_step_sideways": size / bound[1],
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jump:
+    """A push that is a jump of the base's velocity, and with it of all links'.
+
+    Args:
+        system: whose training.
+        robot: that was trained.
+        speed: the largest [m/s].
+        interval: from one to the next, least and most [s].
+    """
+
+    system: str
+    robot: str
+    speed: float
+    interval: tuple[float, float]
+
+
+JUMPS = (  # of their public configurations; mjlab's is its default, 0.5 m/s forward and sideways
+    Jump(system="MuJoCo Playground", robot="g1", speed=2.0, interval=(5.0, 10.0)),
+    Jump(system="MuJoCo Playground", robot="t1", speed=1.0, interval=(5.0, 10.0)),
+    Jump(system="mjlab", robot="g1", speed=0.5 * 2**0.5, interval=(1.0, 3.0)),
+)
+
+
+def robots_table(robots: Sequence[Robot]) -> pd.DataFrame:
+    """Robots, what one unit of push is on them, and what a pendulum on their feet withstands.
+
+    ``impulse_unit`` [N s] and ``time_unit`` [s]. ``force_n`` [N]: of a push of I = 0.1 that lasts
+    ``duration_s``, 0.1 s of the first robot in units of each one's time. ``forward``,
+    ``backward``, ``sideways``: the largest I that needs no step, of such pushes.
+    """
+    rows = []
+    for robot in robots:
+        body = Body(mass=robot.mass, com_height=robot.com_height)
+        first = Body(mass=robots[0].mass, com_height=robots[0].com_height)
+        duration = 0.1 * body.time_unit / first.time_unit
+        forward, sideways, backward = no_step_bound(robot, [0.0, np.pi / 2, np.pi], duration)
+        rows.append(
+            {
+                "robot": robot.name,
+                "mass": robot.mass,
+                "com_height": robot.com_height,
+                "impulse_unit": body.impulse_unit,
+                "time_unit": body.time_unit,
+                "duration_s": duration,
+                "force_n": 0.1 * body.impulse_unit / duration,
+                "forward": forward,
+                "backward": backward,
+                "sideways": sideways,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def jumps_table(robots: Sequence[Robot], jumps: Sequence[Jump] = JUMPS) -> pd.DataFrame:
+    """Jumps of velocity as dimensionless pushes: ``I = v / sqrt(g h0)``, whatever the mass.
+
+    ``of_no_step_sideways``: the size over the largest sudden push to the side that asks a pendulum
+    on the robot's feet for no step.
+    """
+    by_name = {robot.name: robot for robot in robots}
+    rows = []
+    for jump in jumps:
+        robot = by_name[jump.robot]
+        size = jump.speed / (GRAVITY * robot.com_height) ** 0.5
+        bound = no_step_bound(robot, [np.pi / 2], 1e-6)[0]
+        least, most = jump.interval
+        rows.append(
+            {
+                "system": jump.system,
+                "robot": robot.name,
+                "speed": jump.speed,
+                "every_s": f"{least:g} to {most:g}",
+                "impulse": size,
+                "of_no_step_sideways": size / bound,
             }
         )
     return pd.DataFrame(rows)

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from zfall.robots.robot import Robot
 
 Array = NDArray[np.float64]
-_READ = ("mjcf", "joints", "stand", "keyframe", "feet", "foot_links", "region_links", "stiffness")
+_READ = ("mjcf", "joints", "stand", "keyframe", "feet", "foot_links", "region_links", "stiffness",
+         "held")  # fmt: skip
 
 GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
 SETTLING = 20.0  # time for which the servos must hold the reference pose, in units of sqrt(h0 / g)
@@ -118,7 +119,7 @@ def _derive(robot: "Robot") -> Derived:
         if mirror is None
         else {j: joints[i] for j, i in zip(joints, mirror.partner, strict=True)},
         mirror_signs=() if mirror is None else mirror.sign,
-        com_height=settled_height(whole),
+        com_height=settled_height(whole) if robot.held else height,
         mass=mass,
     )
 
@@ -146,7 +147,7 @@ def settled_height(model: mujoco.MjModel) -> float:
         raise ValueError(
             f"the servos must hold the reference pose, it falls: after {seconds:.1f} s the center "
             f"of mass is at {height:.2f} m of {first:.2f} m and the base leans by {lean:.2f} rad; "
-            "give another stand or keyframe, or another stiffness"
+            "give another stand or keyframe, or another stiffness; held: false if that is meant"
         )
     return height
 

@@ -31,9 +31,15 @@ class Sole(NamedTuple):
 
 
 def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom meets a floor that has both collision bits 1, or that of the model."""
+    """Whether a geom meets a floor that has both collision bits 1, or that of the model.
+
+    A ``pair`` of it and the model's floor counts as well.
+    """
     kind, takes = int(model.geom_contype[geom]), int(model.geom_conaffinity[geom])
     floor = _floor(model)
+    pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
+    if any({*pair} == {geom, floor} for pair in pairs):
+        return True
     floor_kind, floor_takes = (
         (1, 1)
         if floor is None

@@ -58,6 +58,8 @@ class Robot:
         legs: the joints of the legs.
         stiffness: of the controller that motors get [N m/rad], for all or by joint; see
             ``zfall.robots.actuators``.
+        held: whether the servos hold the reference pose; ``False``: they are too soft for it
+            without a policy, and ``com_height`` is that of the pose itself.
         postures: other poses by name, each like ``stand``: joints that are not at zero [rad].
             What needs one names it, see ``posture``.
         kneel_regions: parts on which the robot may come to rest on its knees, without the side.
@@ -91,6 +93,7 @@ class Robot:
     mass: float = DERIVED
     legs: tuple[str, ...] = DERIVED
     stiffness: Stiffness = None
+    held: bool = True
     postures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     kneel_regions: tuple[str, ...] = ("knee", "shin")
     kneel_searches: Mapping[str, KneelSearch] = field(default_factory=dict)

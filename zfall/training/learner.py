@@ -25,7 +25,6 @@ from zfall.training.gradients import clip_gradients, parts_of
 from zfall.training.losses import buffers_of, check_networks, check_reads
 from zfall.training.minibatches import (
     divergence_of,
-    drawn_samples,
     losses_of,
     means_of,
     rows_of,
@@ -152,7 +151,8 @@ class Learner:
             for share in self.ranks.minibatches(len(data), self.cfg.minibatches):
                 part, share = self._prepared(rows_of(data, share.rows.to(device)), share)
                 outputs.append(self._step(self._losses_of(part, share)))
-                drawn.append(share.total(drawn_samples(part)))
+                drawn.append(share.drawn(part))
+            drawn = self.ranks.sum(torch.tensor(drawn)).tolist()
             divergence = divergence_of(outputs, drawn)
             if self.cfg.loss.kl_stop is not None and divergence > self.cfg.loss.kl_stop:
                 break
@@ -192,7 +192,7 @@ class Learner:
             share = share.fitted(len(part))
         if self.cfg.burn_in:
             part = burnt_in(part, self._remembering, self.cfg.burn_in)
-        return share.standardized(part), share
+        return share.standardized(part, self.losses.ppo), share
 
     def _losses_of(self, part: TensorDictBase, share: Share) -> TensorDictBase:
         """All losses of a minibatch, PPO's first, and the figures that they report.

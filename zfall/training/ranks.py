@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.modules.normalization import Moments, moments_of
+from zfall.training.minibatches import drawn_samples
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 Figures = Mapping[str, tuple[float, float | None]]  # mean and its weight, or a sum and None
@@ -52,11 +53,11 @@ class Share(Protocol):
     def drawing(self) -> AbstractContextManager[Any]:
         """Within it random numbers are those of the whole minibatch."""
 
-    def standardized(self, part: TensorDictBase) -> TensorDictBase:
+    def standardized(self, part: TensorDictBase, loss: Any) -> TensorDictBase:
         """The part with advantages as the loss wants them."""
 
-    def total(self, number: int) -> int:
-        """The sum of a number over all ranks."""
+    def drawn(self, part: TensorDictBase) -> int:
+        """How many samples of it, on this rank, the policy drew itself."""
 
     def weighed(self, out: TensorDictBase, loss: Any, seen: TensorDictBase) -> TensorDictBase:
         """What a ``loss`` gave for what it has ``seen``, so that the ranks' add up to the whole."""
@@ -103,6 +104,9 @@ class Ranks(Protocol):
     def means(self, figures: Figures) -> dict[str, float]:
         """Figures of all ranks: means by their weights, and sums; without weight left out."""
 
+    def sum(self, numbers: Tensor) -> Tensor:
+        """Small tensors summed over all ranks, in their place."""
+
     def any(self, flag: bool) -> bool:
         """Whether it is so on any rank."""
 
@@ -131,11 +135,11 @@ class WholeMinibatch:
     def drawing(self) -> AbstractContextManager[Any]:
         return nullcontext()
 
-    def standardized(self, part: TensorDictBase) -> TensorDictBase:
+    def standardized(self, part: TensorDictBase, loss: Any) -> TensorDictBase:
         return part
 
-    def total(self, number: int) -> int:
-        return number
+    def drawn(self, part: TensorDictBase) -> int:
+        return drawn_samples(part)
 
     def weighed(self, out: TensorDictBase, loss: Any, seen: TensorDictBase) -> TensorDictBase:
         return out
@@ -175,6 +179,9 @@ class OneRank:
 
     def means(self, figures: Figures) -> dict[str, float]:
         return {key: value for key, (value, weight) in figures.items() if weight != 0}
+
+    def sum(self, numbers: Tensor) -> Tensor:
+        return numbers
 
     def any(self, flag: bool) -> bool:
         return flag

@@ -4,8 +4,9 @@ Every rank has a copy of the networks and takes its part of every minibatch. Gra
 and figures are summed over ranks, so that all take the same step. The order of samples, and what
 is drawn for them, are those of one process with all the worlds: each rank draws them for all.
 
-Per minibatch this takes a sum of the gradient, a small one of figures, one of the advantages'
-moments if each minibatch normalises them, and one for each loss that leaves samples out.
+Per minibatch this takes two waits for the network. In one the moments of advantages and what PPO's
+loss counts are summed, if it asks for either; in the other the gradient and figures, side by side.
+An auxiliary loss that leaves samples out takes one more.
 """
 
 import time
@@ -148,15 +149,19 @@ class SeveralRanks:
 
     def moments(self, rows: Tensor) -> Moments:
         count, mean, variance = moments_of(rows)
-        return self.merged(count, mean, variance)
+        return self.merged(count, mean, variance)[0]
 
-    def merged(self, count: int, mean: Tensor, variance: Tensor) -> Moments:
-        """The moments of all ranks' rows from those of each."""
+    def merged(
+        self, count: int, mean: Tensor, variance: Tensor, more: Tensor | None = None
+    ) -> tuple[Moments, Tensor]:
+        """The moments of all ranks' rows from those of each, and sums of ``more`` numbers."""
+        more = torch.zeros(0) if more is None else more
         own = torch.cat([mean.new_tensor([count], dtype=torch.float64), mean, variance])
-        everyone = self._gathered_rows(own.cpu())
-        parts = ((int(row[0]), *row[1:].chunk(2)) for row in everyone)
+        everyone = self._gathered_rows(torch.cat([own.cpu(), more.double()]))
+        parts = ((int(row[0]), *row[1 : len(own)].chunk(2)) for row in everyone)
         total, mean_of_all, variance_of_all = merged_moments(parts)
-        return total, mean_of_all.to(mean.device), variance_of_all.to(mean.device)
+        moments = total, mean_of_all.to(mean.device), variance_of_all.to(mean.device)
+        return moments, everyone[:, len(own) :].sum(0)
 
     def mean(self, values: Tensor) -> Tensor:
         _, mean, _ = self.moments(values.reshape(-1, 1).double())
@@ -165,12 +170,16 @@ class SeveralRanks:
     def standardized(self, values: Tensor) -> Tensor:
         return standardized_by(values, self.moments(values.reshape(-1, 1).double()))
 
-    def normalized(self, values: Tensor, real: bool) -> Tensor:
-        """Advantages of a minibatch, normalised if a loss would do it by itself."""
+    def normalized(self, values: Tensor, real: bool, more: Tensor) -> tuple[Tensor, Tensor]:
+        """Advantages of a minibatch, normalised if a loss would do it, and sums of ``more``.
+
+        Both at once: on a slow network a sum of few numbers costs as much as one of many.
+        """
         if not self._normalizes:
-            return values
+            return values, self.sum(more.clone()) if len(more) else more
         count, mean, variance = moments_of(values.reshape(-1, 1).double())
-        return standardized_by(values, self.merged(count * real, mean, variance))
+        moments, totals = self.merged(count * real, mean, variance, more)
+        return standardized_by(values, moments), totals
 
     def means(self, figures: Figures) -> dict[str, float]:
         everyone: list[Figures] = self.gathered(dict(figures))

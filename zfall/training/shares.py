@@ -9,6 +9,7 @@ from torch import Tensor
 
 from zfall.modules.normalization import Moments
 from zfall.training.draws import Draw, DrawnTogether
+from zfall.training.minibatches import drawn_samples
 
 if TYPE_CHECKING:
     from zfall.training.several_ranks import SeveralRanks
@@ -29,6 +30,7 @@ class PartOfMinibatch:
         self.rows = rows if self.real else rows.new_zeros(1)
         self.places = places if self.real else places.new_zeros(1)
         self.total_rows, self._ranks = total, ranks
+        self._totals: dict[int, Tensor] = {}  # what a loss counts, over all ranks
 
     def fitted(self, rows: int) -> "PartOfMinibatch":
         times, rest = divmod(rows, len(self.rows))
@@ -55,11 +57,20 @@ class PartOfMinibatch:
 
         return DrawnTogether(len(self.rows), supply)
 
-    def standardized(self, part: TensorDictBase) -> TensorDictBase:
-        return part.set("advantage", self._ranks.normalized(part["advantage"], self.real))
+    def standardized(self, part: TensorDictBase, loss: Any) -> TensorDictBase:
+        advantage, self._totals[id(loss)] = self._ranks.normalized(
+            part["advantage"], self.real, self._counted(loss, part)
+        )
+        return part.set("advantage", advantage)
 
-    def total(self, number: int) -> int:
-        return int(self._ranks.sum(torch.tensor([number * self.real])).item())
+    def drawn(self, part: TensorDictBase) -> int:
+        return drawn_samples(part) * self.real
+
+    def _counted(self, loss: Any, seen: TensorDictBase) -> Tensor:
+        """What the loss counts in this part, in the order of its names ``(K,)``."""
+        counts = loss.counts(seen).values() if hasattr(loss, "counts") else ()
+        own = [number.double().cpu() for number in counts]
+        return torch.stack(own) * self.real if own else torch.zeros(0, dtype=torch.float64)
 
     def weighed(self, out: TensorDictBase, loss: Any, seen: TensorDictBase) -> TensorDictBase:
         """Means by the share of samples that they are of.
@@ -68,12 +79,13 @@ class PartOfMinibatch:
         seen, and how many, has these weighed so.
         """
         weight = self.real * len(self.rows) / self.total_rows
-        counts = loss.counts(seen) if hasattr(loss, "counts") else {}
-        weights: dict[str, float] = dict.fromkeys(counts, 0.0)
-        if counts:
-            own = torch.stack([number.double().cpu() for number in counts.values()]) * self.real
-            everyone = self._ranks.sum(own.clone()).clamp_min(1.0)
-            weights = dict(zip(counts, (own / everyone).tolist(), strict=True))
+        own = self._counted(loss, seen)
+        weights: dict[str, float] = {}
+        if len(own):
+            known = self._totals.get(id(loss))
+            everyone = self._ranks.sum(own.clone()) if known is None else known
+            shares = (own / everyone.clamp_min(1.0)).tolist()
+            weights = dict(zip(loss.counts(seen), shares, strict=True))
         extremes = self._ranks.largest
         summed = self._ranks.summed
         for key, value in out.items():
