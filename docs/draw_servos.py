@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.optimize import brentq
 
+from zfall.evaluation.plots.colors import BLUE, GREY, SKY, VERMILION
 from zfall.robots import GRAVITY, ZEROTH01
 from zfall.robots.servos import STS3215, STS3250, Servo
 from zfall.robots.servos.datasheets import servo
@@ -33,14 +34,14 @@ STEP = 0.1  # [rad]
 def main() -> None:
     """Writes the pictures."""
     model = mujoco.MjModel.from_xml_path(ZEROTH01.mjcf)
-    figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+    figure = Figure(figsize=(7.0, 3.0), dpi=200, layout="constrained")
     pair = zip(figure.subplots(1, 2, sharey=True), SERVOS.items(), strict=True)
     for axes, (joint, each) in pair:
         draw_torque(axes, model, joint, each)
     figure.axes[0].set_ylabel("torque at the shaft [N m]")
     figure.axes[0].legend(frameon=False)
     FigureCanvasAgg(figure).print_png(str(PICTURES / "servos.png"), metadata={"Software": None})
-    figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+    figure = Figure(figsize=(7.0, 3.0), dpi=200, layout="constrained")
     steps, errors = figure.subplots(1, 2)
     draw_steps(steps)
     draw_errors(errors)
@@ -53,10 +54,10 @@ def draw_torque(axes: Axes, model: mujoco.MjModel, joint: str, each: Servo) -> N
     hinge, speed = model.joint(joint), np.linspace(0.0, 9.0, 200)
     most = model.actuator(joint).forcerange[1]
     left = most - hinge.frictionloss[0] - hinge.damping[0] * speed
-    axes.plot(speed, np.maximum(left, 0.0), "0.5", label="published")
+    axes.plot(speed, np.maximum(left, 0.0), color=GREY, label="published")
     for volts, style in ((12.0, "-"), (11.1, "--")):
         left = [max(each.shaft_torque(float(x), volts), 0.0) for x in speed]
-        axes.plot(speed, left, f"C0{style}", label=f"datasheet, {volts:g} V")
+        axes.plot(speed, left, style, color=BLUE, label=f"datasheet, {volts:g} V")
     axes.set(title=each.name, xlabel="speed [rad/s]", xlim=(0, 9), ylim=(0, 9))
     axes.grid(alpha=0.3)
 
@@ -71,10 +72,12 @@ def draw_steps(axes: Axes) -> None:
     for kp, style in ((32, "-"), (16, "--")):
         each = servo("STS3215", kp=kp, backlash=0.0)
         (moved,) = run_bench([LateServo(servo=each, latency=LATENCY)], log, physics_dt=0.001)
-        axes.plot(1e3 * (time - 0.01), moved / STEP, f"C0{style}", label=f"simulated, kp {kp}")
+        axes.plot(1e3 * (time - 0.01), moved / STEP, style, color=BLUE, label=f"simulated, kp {kp}")
     ticks = np.arange(19)
     measured = 1.0 - (1.0 - SHARE) ** ticks
-    axes.plot(1e3 * TICK * ticks, measured, "ko", markersize=3, label="desk arm, measured")
+    axes.plot(
+        1e3 * TICK * ticks, measured, "o", color=VERMILION, markersize=4, label="desk arm, measured"
+    )
     axes.set(title="STS3215, step of 0.1 rad", xlabel="time [ms]", ylabel="share of the step")
     axes.set(xlim=(0, 600), ylim=(-0.02, 1.3))
     axes.grid(alpha=0.3)
@@ -95,16 +98,18 @@ def draw_errors(axes: Axes) -> None:
         loads,
         [error(load, -1.0) for load in loads],
         [error(load, 1.0) for load in loads],
-        color="C0",
-        alpha=0.3,
+        color=SKY,
+        alpha=0.5,
         label="law, losses under load",
     )
     low, high = (
         np.degrees((loads + sign * STS3215.need("friction")) / STS3215.stiffness())
         for sign in (-1.0, 1.0)
     )
-    axes.fill_between(loads, low, high, color="0.5", alpha=0.5, label="law, without")
-    axes.plot([HELD] * 2, np.degrees(MEASURED_ERROR), "k", linewidth=4, label="measured")
+    axes.fill_between(loads, low, high, color=GREY, alpha=0.5, label="law, without")
+    axes.plot(
+        [HELD] * 2, np.degrees(MEASURED_ERROR), color=VERMILION, linewidth=4, label="measured"
+    )
     axes.set(title="STS3215 at rest, kp 32", xlabel="load [N m]", ylabel="error [deg]")
     axes.set(xlim=(0, 1.5), ylim=(0, None))
     axes.grid(alpha=0.3)

@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from zfall.commands import remove_if_empty, shell_line
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
-from zfall.values import Count, Name, Positive, Rule, Seed, Whole
+from zfall.values import Count, FractionAboveZero, Name, Positive, Rule, Seed, Whole
 
 from .shell import (
     Changes,
@@ -41,6 +41,7 @@ class Keys(TypedDict):
     memory: bool
     trial: Whole | None
     video: bool
+    slow: FractionAboveZero
     references: bool
     joint: Name
     servo: NotRequired[Any]
@@ -97,7 +98,7 @@ def main(cfg: DictConfig) -> None:
         folders = {each.name: each.results(places[each.name]) / setting for each in candidates}
         if cfg.trial is not None:
             folder = folders[names[0]] if len(names) == 1 else output
-            given = {"seed": cfg.seed, "joint": cfg.joint, "video": cfg.video}
+            given = {key: cfg[key] for key in ("seed", "joint", "video", "slow")}
             show_trial(battery, cfg.trial, candidates, folders, folder, console, **given)
             remove_if_empty(output)
             return

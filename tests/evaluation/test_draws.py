@@ -10,6 +10,7 @@ from tensordict import TensorDict
 
 from tests.evaluation.moments import ENDED, moment
 from zfall.evaluation.draws import Draws, success_by_draw
+from zfall.evaluation.plots import thirds_plot
 
 
 def trials(drawn: list[float], recovered: list[bool], **more: list[float]) -> pd.DataFrame:
@@ -83,7 +84,7 @@ def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_
     assert [name for name, _ in figures] == ["draws.png", "draws.pdf"]
     (axes,) = figures[0][1].axes
     assert figures[0][1].get_suptitle() == "mine"
-    shown = [label.get_text().split()[0] for label in axes.get_yticklabels()]
+    shown = [label.get_text().split(",")[0] for label in axes.get_yticklabels()]
     assert shown == ["latency", "friction"]
     assert axes.yaxis_inverted()
     found = success_by_draw(table)
@@ -93,6 +94,21 @@ def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_
         # Latency explains, friction does not.
         assert drawn.get_facecolor()[:, 3].tolist() == [1.0, 0.3]
     assert len(bars.get_segments()) == 2
+
+
+def test_the_plot_names_ranges_with_their_units_and_cuts_off_no_mark(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **settings: figures.append(self))
+    columns = {"parameter": ["command_latency", "foot_friction"], "smallest": [0.012, 0.4]}
+    shares = {"low": [0.52, 0.5], "middle": [0.5, 0.5], "high": [0.44, 0.5]}
+    table = pd.DataFrame({**columns, "largest": [0.036, 1.2], **shares, "p": [0.001, 0.9]})
+    thirds_plot(table, tmp_path / "draws.png", title="mine")
+    (axes,) = figures[0].axes
+    texts = [label.get_text().split("  ")[0] for label in axes.get_yticklabels()]
+    assert texts == ["command latency, 0.012 to 0.036 s", "foot friction, 0.4 to 1.2"]
+    low, high = axes.get_xlim()
+    assert low < 44 - 3
+    assert high > 52 + 3
 
 
 def test_without_draws_there_is_no_plot(tmp_path):

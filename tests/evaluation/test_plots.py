@@ -148,6 +148,23 @@ def test_sixteen_lines_of_a_plot_all_differ_also_without_colour(tmp_path, monkey
         assert len({(line.get_linestyle(), line.get_marker()) for line in lines}) == 16
 
 
+def test_an_envelope_names_policies_under_each_plot_and_references_once(tmp_path, monkeypatch):
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
+    rows = [
+        {"body": body, "direction_rad": d, "largest": size}
+        for body, size in (("torso", 0.5), ("chest", 0.25))
+        for d in np.arange(0, 2 * np.pi, np.pi / 6)
+    ]
+    lines = references(ZEROTH01, 0.1)
+    envelope_plot({"mine": pd.DataFrame(rows)}, tmp_path / "a.png", title="test", lines=lines)
+    (figure,) = drawn
+    named = [[t.get_text() for t in axes.get_legend().get_texts()] for axes in figure.axes]
+    assert named == [["mine: mean 0.50"], ["mine: mean 0.25"]]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [line.name for line in lines]
+
+
 def test_the_same_curves_give_the_same_pdf(tmp_path, monkeypatch):
     """A study shown again changes no file, whenever that is."""
     curve = pd.DataFrame({"frames": [1.0, 2.0, 3.0], "episode_seconds": [1.0, 2.0, 3.0]})

@@ -1,6 +1,7 @@
 """One trial again, of several policies."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -55,6 +56,32 @@ def test_pushes_of_a_trial_are_those_of_its_plan(compose_config):
     replay = run_trial(spherical, candidate, 1, **given)
     assert len(replay.pushes) == replay.row["withstood"] > 1
     assert all(1.0 <= begin < end for begin, end in replay.pushes)
+
+
+def test_a_film_of_a_trial_names_it_and_goes_as_slow_as_asked(tmp_path, monkeypatch):
+    """A fall 0.2 s after the push of 0.5 s is called one from 0.7 s on."""
+    filmed = []
+    monkeypatch.setattr(
+        single_trial, "film", lambda model, rows, columns, *_, **kw: filmed.append((columns, kw))
+    )
+    row = {"trial": 7, "impulse": 0.5, "force_n": 25.0, "duration_s": 0.1, "direction_rad": 0.0}
+    row |= {"body": "torso", "fell": True, "time_to_fall_s": 0.2}
+    seconds = pd.DataFrame(
+        {"time_s": [0.04], **{f"{k}/left_hip_pitch": 0.0 for k in ("target", "position", "torque")}}
+    )
+    env = SimpleNamespace(control_dt=0.04, camera=SimpleNamespace(model=None))
+    log = SimpleNamespace(frames=lambda ends: None)
+    replay = Replay(row, seconds, [(0.5, 0.6)], np.zeros((1, 1, 7)), log, env)
+    monkeypatch.setattr(single_trial, "run_trial", lambda *_, **__: replay)
+    given = {"seed": 0, "joint": "left_hip_pitch", "video": True, "slow": 0.25}
+    candidates = [Candidate("mine", None, None)]
+    console = Console(quiet=True)
+    where = {"mine": tmp_path}
+    show_trial(load_battery("kneel"), 7, candidates, where, tmp_path, console, **given)
+    ((columns, settings),) = filmed
+    assert columns == ["trial 7"]
+    assert settings["slow"] == 0.25
+    assert settings["outcomes"] == {"mine": [[(pytest.approx(0.7), "fell", False)]]}
 
 
 def test_a_trial_is_said_in_one_line():

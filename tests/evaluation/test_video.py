@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from zfall.evaluation import video
-from zfall.evaluation.captions import Pushed, PushLog, outcome_at, push_marks
+from zfall.evaluation.captions import Mark, Pushed, PushLog, outcome_at, push_marks
 from zfall.robots import ZEROTH01
 
 
@@ -104,3 +104,12 @@ def test_a_robot_that_lies_faces_where_it_did_before():
     states = np.zeros((3, 27))
     states[:, 3:7] = [upright, lying, upright]
     np.testing.assert_allclose(video._headings(states), math.pi / 2, atol=1e-12)
+
+
+def test_a_film_says_that_all_is_well_only_when_the_push_is_half_a_second_old():
+    """The last push of a film may come after the time at which it tells the outcome."""
+    good, bad = [(1.0, "stays up", True)], [(1.0, "fell", False)]
+    fresh, old = Mark(np.zeros(3), "", 0.3), Mark(np.zeros(3), "", 0.6)
+    assert outcome_at(good, 1.2, fresh) is None
+    assert outcome_at(good, 1.5, old) == ("stays up", True)
+    assert outcome_at(bad, 1.2, fresh) == ("fell", False)

@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from tensordict import TensorDictBase
 
 MARKED = 1.0  # so long a push is marked, from its begin [s]
+OPEN = 0.5  # so long nobody says that all is well [s]
 FALL, GOOD, DARK = (213, 94, 0), (0, 128, 92), (40, 46, 54)  # colours of Okabe and Ito, and ink
 _SIDES = (
     "from behind",
@@ -189,7 +190,14 @@ def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(found, size)
 
 
-def outcome_at(outcomes: Sequence[tuple[float, str, bool]], time: float) -> tuple[str, bool] | None:
-    """The last of ``(time [s], words, whether it is good)`` that has come by a time."""
+def outcome_at(
+    outcomes: Sequence[tuple[float, str, bool]], time: float, mark: Mark | None = None
+) -> tuple[str, bool] | None:
+    """The last of ``(time [s], words, whether it is good)`` that has come by a time.
+
+    None that is good in the first half second of a push, which is not over then.
+    """
     come = [(words, good) for begin, words, good in outcomes if begin <= time + 1e-6]
+    if come and come[-1][1] and mark is not None and mark.age < OPEN:
+        return None
     return come[-1] if come else None

@@ -10,8 +10,8 @@ import pandas as pd
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from zfall.evaluation.plots.colors import LINES
 from zfall.evaluation.plots.curves import running_mean
-from zfall.evaluation.plots.polar import LINES
 
 POINTS = 240  # of a curve
 WIDTH, HEIGHT = 460, 220  # of a panel [px]

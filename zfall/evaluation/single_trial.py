@@ -56,6 +56,7 @@ def show_trial(
     seed: int,
     joint: str,
     video: bool,
+    slow: float = 1.0,
 ) -> None:
     """Runs a trial again with each policy, prints its rows, draws traces of a joint.
 
@@ -73,6 +74,7 @@ def show_trial(
         seed: of the battery.
         joint: which is drawn.
         video: whether it is filmed.
+        slow: how fast time goes in the film, 0.25 for four times as slow.
 
     Raises:
         ValueError: if there is no such trial or joint.
@@ -91,7 +93,8 @@ def show_trial(
         replay.traces.to_csv(place / f"trial_{trial}.csv", index=False)
         if video:
             outcome = outcome_of(replay.row, outcome_names(battery))
-            _film(replay, each.label, outcome, place / f"trial_{trial}.mp4", console)
+            path = place / f"trial_{trial}.mp4"
+            _film(replay, each.label, f"trial {trial}", outcome, path, console, slow=slow)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[each.name] = replay.traces.rename(columns=renamed)
         pushes += [push for push in replay.pushes if push not in pushes]
@@ -146,10 +149,16 @@ def _times(pushes: Pushes, end: float) -> list[tuple[float, float]]:
     return list(zip(begin.tolist(), (begin + pushes.duration[0][real]).tolist(), strict=True))
 
 
-def _film(replay: Replay, label: str, outcome: str, path: Path, console: Console) -> None:
-    column = f"I = {replay.row['impulse']:.3g}"
-    if np.isfinite(replay.row["direction_rad"]):
-        column += f", toward {np.degrees(replay.row['direction_rad']):.0f} degrees"
+def _film(
+    replay: Replay,
+    label: str,
+    column: str,
+    outcome: str,
+    path: Path,
+    console: Console,
+    *,
+    slow: float,
+) -> None:
     env, length = replay.env, float(replay.traces["time_s"].iloc[-1])
     every = round(frame(env) / env.control_dt)
     count = len(replay.states) // every
@@ -166,6 +175,7 @@ def _film(replay: Replay, label: str, outcome: str, path: Path, console: Console
             pushed,
             path,
             dt=frame(env),
+            slow=slow,
             outcomes={label: [[said]]},
         )
         console.print(f"wrote {path}", soft_wrap=True)

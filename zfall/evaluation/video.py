@@ -91,7 +91,7 @@ def film(
                             title=f"{name}\n{column}",
                             clock=f"{time:.2f} s{pace}",
                             push=mark.label if mark else "",
-                            outcome=outcome_at(said, time),
+                            outcome=outcome_at(said, time, mark),
                         )
                     )
                 lines.append(tiles)

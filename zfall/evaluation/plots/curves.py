@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from zfall.evaluation.comparison import bootstrap_interval
-from zfall.evaluation.plots.polar import LINES
+from zfall.evaluation.plots.colors import LINES
 from zfall.files import written_whole
 
 POINTS = 40  # at which curves of several seeds are averaged

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from zfall.evaluation.plots.polar import VERMILION
+from zfall.evaluation.plots.colors import VERMILION
 from zfall.robots.servos.logs import ServoLog
 
 

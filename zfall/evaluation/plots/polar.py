@@ -10,19 +10,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
+from matplotlib.text import Text
 
 from zfall.evaluation.pendulum import CAPTION, Reference
+from zfall.evaluation.plots.colors import GREY, LINES, VERMILION
 from zfall.evaluation.statistics import largest_withstood, success_table
 
 TITLE = 44  # characters in a line of a title
-# Colours of Okabe and Ito, which the colour-blind tell apart; dashes and marks tell without colour.
-BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072B2", "#D55E00", "#009E73"
-ORANGE, SKY, PURPLE, GREY = "#E69F00", "#56B4E9", "#CC79A7", "#777777"
-# Sixteen lines that differ, also without colour: no two have the same dashes and marks.
-LINES = [("-", BLUE), ("--", VERMILION), ("-.", GREEN), (":", BLACK),
-         ("o-", ORANGE), ("s--", SKY), ("^:", PURPLE), ("D-.", GREY),
-         ("x-", BLUE), ("v--", VERMILION), ("P-.", GREEN), ("o:", BLACK),
-         ("s-", ORANGE), ("D--", SKY), ("x:", PURPLE), ("^-.", GREY)]  # fmt: skip
 
 
 def success_map(
@@ -53,7 +47,7 @@ def success_map(
     arc = 12  # straight pieces that make up the arc of a cell
     pieces = width * (np.arange(len(directions) * arc + 1) / arc - 0.5)
     angles = directions[0] + pieces
-    figure = Figure(figsize=(5.0, 5.6), layout="constrained")
+    figure = Figure(figsize=(5.0, 5.4), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")
     mesh = axes.pcolormesh(
@@ -66,10 +60,10 @@ def success_map(
         rasterized=True,
     )
     tables = [table]
-    _draw_i50(axes, table, "-", "I50")
+    _draw_i50(axes, table, "-", "white", "I50")
     if baseline is not None:
         tables.append(success_table(baseline))
-        _draw_i50(axes, tables[1], ":", "I50 of pose_hold")
+        _draw_i50(axes, tables[1], "--", VERMILION, "I50 of pose_hold")
     withstood = max([0.0, *(float(i) for x in tables for i in x.columns[(x > 0).any()])])
     known = max([0.0, *(float(line.impulse.max()) for line in lines)]) + step
     title = textwrap.fill(title, TITLE, break_on_hyphens=False)
@@ -80,32 +74,42 @@ def success_map(
         first, last = f"{withstood + step:.1f}", f"{impulses[-1]:.1f}"
         title += f"\nnone recovered from I = {first}" + (f" to {last}" if last != first else "")
     axes.grid(False)
-    axes.set_thetagrids(
-        [0, 45, 90, 135, 180, 225, 270, 315],
-        ["forward", "", "left", "", "backward", "", "right", ""],
-    )
-    apart = 0.5 if reach > 1.2 else 0.2
-    ticks = apart * np.arange(1, np.ceil(reach / apart))
+    _name_sides(axes)
+    apart = 0.5 if reach > 0.9 else 0.2
     axes.set_yticks([])
-    box = {"facecolor": "0.2", "edgecolor": "none", "pad": 1.0}  # reads on yellow and over lines
-    for tick in ticks:
-        axes.plot(angles, np.full_like(angles, tick), color="0.2", lw=0.5)
-        at = (np.deg2rad(22.5), tick)
-        axes.text(*at, f"I = {tick:.1f}", color="white", fontsize=6, ha="center", va="center",
-                  bbox=box, zorder=10)  # fmt: skip
-    axes.set_title(title, fontsize=10)
-    axes.legend(
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.1),
-        ncols=2,
-        fontsize=7,
-        facecolor="0.45",
-        labelcolor="white",
-        framealpha=1,
-    )
+    for tick in apart * np.arange(1, np.ceil(reach / apart)):
+        axes.plot(angles, np.full_like(angles, tick), color="0.5", lw=0.4)
+        name = _name_ring(axes, tick, f"I = {tick:.1f}")
+        name.set(color="white", zorder=10)
+        name.set_path_effects([Stroke(linewidth=2, foreground="black"), Normal()])
+    axes.set_title(title, fontsize=10, pad=12)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
     bar = figure.colorbar(mesh, ax=axes, shrink=0.6, pad=0.12)
     bar.set_label("share of trials recovered")
     _save(figure, path, lines)
+
+
+def _name_sides(axes: Any, **size: float) -> None:
+    """Writes the four headings of a push around a polar plot."""
+    sides = ["forward", "", "left", "", "backward", "", "right", ""]
+    axes.set_thetagrids(range(0, 360, 45), sides, **size)
+
+
+def _name_rings(axes: Any) -> None:
+    """Writes the sizes of the rings of a plot without a map, at most five."""
+    reach = axes.get_ylim()[1]
+    apart = 0.5 if reach > 1.2 else 0.2
+    rings = apart * np.arange(1, np.ceil(reach / apart))
+    axes.set_yticks(rings, [])
+    axes.grid(color="0.85", lw=0.6)
+    for ring in rings:
+        _name_ring(axes, ring, f"{ring:.1f}").set_color("0.4")
+
+
+def _name_ring(axes: Any, size: float, name: str) -> Text:
+    """Writes the size of a ring at its upper left, behind all lines."""
+    at = np.deg2rad(22.5), size
+    return axes.text(*at, name, ha="center", va="center", fontsize=7, weight="bold", zorder=1.4)
 
 
 def _draw_references(
@@ -130,15 +134,19 @@ def _draw_references(
             axes.plot(line.angle, line.impulse, color=color, lw=1, ls=style, label=name, **rims)
 
 
-def _save(figure: Figure, path: Path, lines: Sequence[Reference] = ()) -> None:
-    """Writes a figure, with a caption on its reference lines if it has any."""
+def _save(
+    figure: Figure, path: Path, lines: Sequence[Reference] = (), *, below: float = 4.0
+) -> None:
+    """Writes a figure; a caption on its reference lines, if any, lies below it [points]."""
     if lines:
-        figure.supxlabel("\n".join(textwrap.wrap(CAPTION, 82)), fontsize=7, color="0.3")
-    figure.savefig(path, dpi=200)
+        caption = "\n".join(textwrap.wrap(CAPTION, 82))
+        place = 0.5, -below / 72 / figure.get_figheight()
+        figure.text(*place, caption, ha="center", va="top", fontsize=7, color="0.3")
+    figure.savefig(path, dpi=200, bbox_inches="tight", pad_inches=0.08)
 
 
-def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
-    """Adds a white line with a dark rim, to be seen on either end of the color map."""
+def _draw_i50(axes: Any, table: pd.DataFrame, style: str, color: str, label: str) -> None:
+    """Adds a line with a dark rim, to be seen on either end of the color map."""
     impulses = table.columns.to_numpy()
     i50 = np.array([largest_withstood(impulses, rates, 0.5) for rates in table.to_numpy()])
     angles = table.index.to_numpy()
@@ -146,10 +154,10 @@ def _draw_i50(axes: Any, table: pd.DataFrame, style: str, label: str) -> None:
         np.append(angles, angles[0]),
         np.append(i50, i50[0]),
         style,
-        color="white",
+        color=color,
         lw=1.8,
         label=label,
-        path_effects=[Stroke(linewidth=4, foreground="black"), Normal()],
+        path_effects=[Stroke(linewidth=3.6, foreground="black"), Normal()],
     )
 
 
@@ -162,7 +170,7 @@ def overlay(
         runs: trials of one planar battery by name.
         path: file to write; its ending gives the format.
         title: above the plot.
-        lines: drawn besides, in light grey.
+        lines: drawn besides, in grey.
     """
     figure = Figure(figsize=(4.6, 5.2), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
@@ -178,12 +186,18 @@ def overlay(
             color=color,
             label=f"{name}: {np.mean(i50):.2f}",
         )
-    _draw_references(axes, lines, "0.6")
+    _draw_references(axes, lines, GREY)
     axes.set_ylim(0, None)
-    axes.set_thetagrids([0, 90, 180, 270], ["forward", "left", "backward", "right"])
-    axes.set_title(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=10)
+    _name_sides(axes)
+    _name_rings(axes)
+    axes.set_title(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=10, pad=12)
     axes.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=7, title="mean I50"
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.08),
+        ncols=2,
+        fontsize=8,
+        title="mean I50",
+        frameon=False,
     )
     _save(figure, path, lines)
 
@@ -197,11 +211,11 @@ def envelope_plot(
         tables: of ``envelope_table`` by name of the policy, each with its own colour and dashes.
         path: file to write; its ending gives the format.
         title: above the plots.
-        lines: drawn besides, in light grey; named in the first plot alone.
+        lines: drawn besides, in grey; named below all plots.
     """
     bodies = list(dict.fromkeys(next(iter(tables.values()))["body"]))
     columns, rows = min(len(bodies), 2), -(-len(bodies) // 2)
-    figure = Figure(figsize=(3.4 * columns, 3.6 * rows), layout="constrained")
+    figure = Figure(figsize=(3.4 * columns, 3.5 * rows), layout="constrained")
     most = (float(table["largest"].max()) for table in tables.values())
     reach = 1.05 * max([0.1, *most, *(float(line.impulse.max()) for line in lines)])
     for place, body in enumerate(bodies, 1):
@@ -214,13 +228,29 @@ def envelope_plot(
             around = np.append(angles, angles[0]), np.append(largest, largest[0])
             axes.plot(*around, line, color=color, label=f"{name}: mean {largest.mean():.2f}")
         handles, _ = axes.get_legend_handles_labels()
-        _draw_references(axes, lines, "0.6")
+        _draw_references(axes, lines, GREY)
         axes.set_ylim(0, reach)
-        sides = ["forward", "left", "backward", "right"]
-        axes.set_thetagrids([0, 90, 180, 270], sides, fontsize=8)
-        axes.tick_params(axis="y", labelsize=7)
-        axes.set_title(body, fontsize=9)
-        shown = None if place == 1 else handles
-        axes.legend(handles=shown, loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=6)
-    figure.suptitle(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=10)
-    _save(figure, path, lines)
+        _name_sides(axes, fontsize=8)
+        _name_rings(axes)
+        axes.set_title(body, fontsize=10)
+        axes.legend(
+            handles=handles,
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.1),
+            ncols=2,
+            fontsize=8,
+            frameon=False,
+        )
+    drawn, names = figure.axes[0].get_legend_handles_labels()
+    if references := drawn[len(handles) :]:
+        figure.legend(
+            references,
+            names[len(handles) :],
+            loc="upper center",
+            bbox_to_anchor=(0.5, 0.0),
+            ncols=4,
+            fontsize=8,
+            frameon=False,
+        )
+    figure.suptitle(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=11)
+    _save(figure, path, lines, below=24)

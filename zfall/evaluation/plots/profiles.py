@@ -10,7 +10,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from zfall.evaluation.comparison import interquartile_mean, performance_profile
-from zfall.evaluation.plots.polar import LINES, TITLE
+from zfall.evaluation.plots.colors import LINES
+from zfall.evaluation.plots.polar import TITLE
 from zfall.evaluation.statistics import largest_withstood, success_table
 
 
@@ -38,7 +39,7 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
         most = max(most, float(i50.max()))
     axes.set_xlim(0.0, most + 0.2)
     axes.set_xlabel("impulse I", fontsize=8)
-    axes.set_ylabel("share of directions with I50 >= I", fontsize=8)
+    axes.set_ylabel("share of directions with I50 ≥ I", fontsize=8)
     axes.tick_params(labelsize=7)
     figure.suptitle(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=9)
     axes.grid(alpha=0.3)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from zfall.evaluation.plots.polar import LINES
+from zfall.evaluation.plots.colors import LINES
 
 
 def trace_plot(
