@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 export RL_LOGGING_LEVEL ?= WARNING
 export NO_MKDOCS_2_WARNING ?= 1
 
-.PHONY: setup train test slow-test lint docs bench playground clean
+.PHONY: setup train test long-test slow-test lint docs bench playground clean
 
 setup: $(READY)
 
@@ -24,6 +24,9 @@ train: $(READY)
 
 test: $(READY)
 	$(RUN) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
+
+long-test: $(READY)
+	$(RUN) -m pytest -m 'long and not slow' --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 slow-test: $(READY)
 	$(RUN) -m pytest -m slow -s $(ARGS)

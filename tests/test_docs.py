@@ -203,6 +203,7 @@ def test_the_tiny_training_of_the_first_policy_trains(tmp_path):
 # Examples in Python.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("code", SCRIPTS)
 def test_every_example_runs_as_it_stands(code, tmp_path, monkeypatch):
     """In an empty folder, with six worlds where the page has 512, and one start where it has 2."""

@@ -130,6 +130,7 @@ def test_what_a_page_takes_from_elsewhere_is_found(generate, html, found):
 # Notebooks.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_from_its_first_cell_to_its_last(path, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

@@ -5,7 +5,6 @@ import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -15,12 +14,6 @@ from zfall import checkpoint
 
 Built = TypeVar("Built", bound=Callable[..., Any])
 Reads = Callable[[Mapping[str, Any], Any], list[Path]]  # of values in the yaml, and the robot
-PACKAGES = ("zfall", "torch", "torchrl", "tensordict", "mujoco")  # a run's bits depend on them
-
-
-def versions() -> dict[str, str]:
-    """Of the packages that must be the same wherever a run is computed, by name."""
-    return {name: version(name) for name in PACKAGES}
 
 
 def digest(value: Any) -> str:

@@ -5,6 +5,7 @@ import pytest
 from tests.test_docs import FILES
 
 
+@pytest.mark.long
 def test_the_documented_loop_sees_the_policy_and_the_memory_that_acted(
     cluster, tmp_path, monkeypatch
 ):

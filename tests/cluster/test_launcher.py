@@ -46,6 +46,7 @@ def begins(folder: Path) -> list[list[int]]:
     return [[int(word) for word in text] for text in texts]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shared", ["true", "false"])
 def test_a_job_whose_worker_is_killed_goes_on_from_its_last_checkpoint(
     cluster, tmp_path, monkeypatch, shared
@@ -85,6 +86,7 @@ def test_a_job_that_fails_is_named_and_the_others_end_well(cluster, tmp_path):
     assert counted(tmp_path) == 2
 
 
+@pytest.mark.long
 def test_a_sweep_whose_driver_is_killed_loses_nothing_and_leaves_nothing(cluster, tmp_path):
     """The cluster stays; the jobs end with the driver, and go on with the next."""
     args = ["until=60", "seconds=0.05,0.051", f"hydra.sweep.dir={tmp_path}", LAUNCHER]

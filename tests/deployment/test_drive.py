@@ -71,6 +71,7 @@ def bus():
     return bus
 
 
+@pytest.mark.long
 def test_a_dry_run_passes_the_pushes_that_the_fast_path_passes(folder):
     """Six trials of battery twin, of which the fast path stands most: within its interval."""
     own = load_candidate("twin")

@@ -154,6 +154,7 @@ def _touches(model, contact, feet) -> bool:
     return bool(floor and others and contact.dist < 0)
 
 
+@pytest.mark.long
 def test_twenty_pushes_end_as_in_the_policy_s_own_loop(trained, policy, battery, pushed):
     candidate = load_candidate(str(policy))
     given = candidate.env_cfg, candidate.actor

@@ -55,6 +55,7 @@ def ablate(args: list[str]) -> None:
     start(recipe.main)
 
 
+@pytest.mark.long
 def test_a_study_marks_what_failed_and_runs_what_is_shared_once(studies, tmp_path):
     done = run("ablate", *studies, "study=tiny")
     assert done.returncode == 0, done.stderr

@@ -63,6 +63,7 @@ def whole(tmp_path_factory) -> Path:
     return folder / "run"
 
 
+@pytest.mark.long
 def test_a_run_of_two_ranks_goes_on_exactly(whole, tmp_path):
     """And every rank has written its part, once for the last update."""
     run = tmp_path / "run"
@@ -258,6 +259,7 @@ def killed_and_resumed(whole: Path, folder: Path, frames: str, kills: int, seed:
     assert_same_run(run, whole)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes as Linux lists them")
 def test_a_rank_killed_ends_all_in_one_line_and_the_run_goes_on_exactly(whole, tmp_path):
     killed_and_resumed(whole, tmp_path, FRAMES, kills=1, seed=0)

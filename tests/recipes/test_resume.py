@@ -17,6 +17,8 @@ from zfall.training.learner import Learner
 from zfall.training.loop import resumed_config, train
 from zfall.training.run_folder import VERSION, RunFolder
 
+pytestmark = pytest.mark.long
+
 EVENTFUL = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seconds=0.3"]
 REALISTIC = "env=push_recovery_realistic"  # all transforms at once
 RECURRENT = "actor=gru_mog critic=gru loss=icub"  # state of a critic, and of a penalty

@@ -94,6 +94,7 @@ def test_rows_may_have_their_own_seeds_and_frames(tiny):
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", sorted(path.stem for path in Path(config_folder() / "study").glob("*.yaml"))
 )

@@ -12,6 +12,7 @@ from zfall.studies import Study
 QUIET = Console(quiet=True)
 
 
+@pytest.mark.long
 def test_the_documented_lines_run_as_written(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     doc = inspect.getdoc(Study) or ""
@@ -48,6 +49,7 @@ def test_an_error_of_one_row_leaves_the_others(tiny, tmp_path):
     assert "| bad, seed 0 | failed: env.transforms.push: point must be" in text
 
 
+@pytest.mark.long
 def test_two_policies_are_trained_once_and_tested_in_each_world(falls, tmp_path):
     """The one that recovers stands in two rows."""
     table = falls().run(results=tmp_path / "results", runs=tmp_path / "runs", console=QUIET)

@@ -146,7 +146,14 @@ WITH_LOSS = [
 KILLS = [("write", 2), ("save", 3), ("write", 4), ("next_stage", 4), ("write", 6)]
 
 
-@pytest.mark.parametrize("given", [STAGED, WITH_LOSS], ids=["stages", "losses that come and go"])
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "given",
+    [
+        pytest.param(STAGED, id="stages", marks=pytest.mark.slow),
+        pytest.param(WITH_LOSS, id="losses that come and go"),
+    ],
+)
 def test_killed_in_three_stages_and_resumed_it_gives_the_same(given, tmp_path, monkeypatch):
     """Same weights and same metrics, to the last digit; also when killed between two stages.
 
@@ -267,6 +274,7 @@ def test_ones_own_code_needs_no_trust_in_ones_own_stages(tmp_path, monkeypatch):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_what_is_shown_before_is_what_the_stage_began_with(tmp_path):
     """Also where it is another network."""
     shown = "showcase={starts: 1, sizes: [0.4], video: false, every: 1}"

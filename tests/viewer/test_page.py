@@ -15,6 +15,8 @@ from zfall.policies.load import POLICIES
 from zfall.viewer.casting import Casting, WatchedFile
 from zfall.viewer.viewer import Viewer
 
+pytestmark = pytest.mark.long
+
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 

@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 
 from zfall.cores import use_cores
 from zfall.errors import SPOKEN, in_one_line
-from zfall.fingerprints import versions
+from zfall.versions import package_versions
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def check_same(wanted: dict[str, str]) -> None:
     Raises:
         ValueError: naming node, package and both.
     """
-    for name, found in versions().items():
+    for name, found in package_versions().items():
         if found != wanted[name]:
             raise ValueError(
                 f"all nodes must have the same packages, {os.uname().nodename} has {name} {found}, "

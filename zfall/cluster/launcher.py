@@ -22,7 +22,7 @@ from zfall.cluster.job import Ending, Job, Sweep, execute, recipe_of
 from zfall.cluster.mirror import Keeper, on_own_disk
 from zfall.commands import shown_path
 from zfall.errors import check_number
-from zfall.fingerprints import versions
+from zfall.versions import package_versions
 
 KEY = "hydra.launcher"
 _PLUGINS = str(Path(__file__).with_name("plugins"))
@@ -122,7 +122,7 @@ class RayLauncher(Launcher):
                     Singleton.get_state(),
                     Path.cwd(),
                     self.cores,
-                    versions(),
+                    package_versions(),
                     sign,
                 )
                 around = None if self.shared else self._mirror(ray, jobs, folder)

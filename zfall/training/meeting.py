@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from zfall.configs import plain_containers
 from zfall.cores import usable_cores
-from zfall.fingerprints import versions
+from zfall.versions import package_versions
 from zfall.training.launch import STORE, RankLost, is_rank, met
 from zfall.training.ranks import ALONE, Ranks
 from zfall.training.run_folder import LOCK, owned
@@ -105,7 +105,7 @@ def _check_one_mind(ranks: SeveralRanks, cfg: DictConfig) -> None:
     Raises:
         ValueError: naming the first difference.
     """
-    known = {f"{name}'s version": number for name, number in versions().items()}
+    known = {f"{name}'s version": number for name, number in package_versions().items()}
     flat = dict(_leaves(plain_containers(cfg)))
     everyone = ranks.gathered(known | flat)
     for rank, other in enumerate(everyone):

@@ -1,5 +1,6 @@
 """Two policies that are switched by the mode."""
 
+import pytest
 import torch
 from omegaconf import OmegaConf
 
@@ -9,6 +10,7 @@ from zfall import checkpoint
 MIRRORED = "{_target_: zfall.falling.mirrored_falls.MirroredFalls}"
 
 
+@pytest.mark.long
 def test_two_policies_are_switched_by_the_mode(tmp_path):
     common = ["num_envs=4", "rollout_steps=2", "minibatches=1", "total_frames=8", "showcase=null"]
     for seed, name in enumerate(("recover", "kneel")):
