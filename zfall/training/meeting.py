@@ -14,12 +14,12 @@ from omegaconf import DictConfig
 
 from zfall.configs import plain_containers
 from zfall.cores import usable_cores
-from zfall.versions import package_versions
 from zfall.training.launch import STORE, RankLost, is_rank, met
 from zfall.training.ranks import ALONE, Ranks
 from zfall.training.run_folder import LOCK, owned
 from zfall.training.several_ranks import SeveralRanks
 from zfall.values import shown
+from zfall.versions import package_versions
 
 _POLL = 0.05  # [s]
 _OWN = ("hydra",)  # keys that ranks need not agree on
