@@ -107,12 +107,13 @@ def test_a_sweep_whose_driver_is_killed_loses_nothing_and_leaves_nothing(cluster
 def test_a_node_without_the_disk_says_so(tmp_path):
     from types import SimpleNamespace
 
-    from zfall.cluster.job import execute, versions
+    from zfall.cluster.job import execute
+    from zfall.versions import package_versions
 
-    gone = SimpleNamespace(versions=versions(), sign=tmp_path / "elsewhere" / "sign")
+    gone = SimpleNamespace(versions=package_versions(), sign=tmp_path / "elsewhere" / "sign")
     ending = execute(SimpleNamespace(log=tmp_path / "log"), gone)
     assert "hydra.launcher.shared must be false" in ending.error
-    old = SimpleNamespace(versions={**versions(), "torch": "1.0"})
+    old = SimpleNamespace(versions={**package_versions(), "torch": "1.0"})
     assert "has torch" in execute(None, old).error
 
 
