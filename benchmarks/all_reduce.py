@@ -35,18 +35,24 @@ def work(rank: int, ranks: int, repeats: int, store: str) -> None:
     meeting = dist.FileStore(store, ranks)
     wait = timedelta(seconds=60)
     dist.init_process_group("gloo", store=meeting, rank=rank, world_size=ranks, timeout=wait)
-    medians = {}
-    for size in FLOATS:
-        values, times = torch.zeros(size), []
-        for _ in range(repeats):
-            dist.barrier()
-            began = time.perf_counter()
-            dist.all_reduce(values)
-            times.append(time.perf_counter() - began)
-        medians[4 * size] = statistics.median(times)
+    medians = {4 * size: seconds_of_a_sum(size, repeats) for size in FLOATS}
     if rank == 0:
         report(medians)
     dist.destroy_process_group()
+
+
+def seconds_of_a_sum(floats: int, repeats: int) -> float:
+    """Median of so many sums over the ranks that have met [s]; all of them must call it."""
+    import torch
+    import torch.distributed as dist
+
+    values, times = torch.zeros(floats), []
+    for _ in range(repeats):
+        dist.barrier()
+        began = time.perf_counter()
+        dist.all_reduce(values)
+        times.append(time.perf_counter() - began)
+    return statistics.median(times)
 
 
 def report(medians: dict[int, float]) -> None:

@@ -77,8 +77,9 @@ def train_when_told(
 
 def network_of(learner: Any) -> dict[str, float]:
     """What an update sends, and how long sums over this network take."""
-    import torch
     import torch.distributed as dist
+
+    from benchmarks.all_reduce import seconds_of_a_sum
 
     real, sent, waits = dist.all_reduce, [], []
 
@@ -92,15 +93,7 @@ def network_of(learner: Any) -> dict[str, float]:
         learner.learn(learner.collect())
     finally:
         dist.all_reduce = real
-    medians = []
-    for size in (SMALL, LARGE):
-        values, times = torch.zeros(size), []
-        for _ in range(REPEATS):
-            dist.barrier()
-            began = time.perf_counter()
-            dist.all_reduce(values)
-            times.append(time.perf_counter() - began)
-        medians.append(statistics.median(times))
+    medians = [seconds_of_a_sum(size, REPEATS) for size in (SMALL, LARGE)]
     rate = 4 * (LARGE - SMALL) / max(medians[1] - medians[0], 1e-9)
     return {"waits": sum(waits), "bytes": sum(sent), "latency": medians[0], "rate": rate}
 
