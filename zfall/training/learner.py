@@ -147,12 +147,14 @@ class Learner:
         data = self._with_advantages(batch)
         passes, device = 0, self.transfers.device
         while passes < self.cfg.epochs:
-            passes, outputs, drawn = passes + 1, [], []
-            for share in self.ranks.minibatches(len(data), self.cfg.minibatches):
-                part, share = self._prepared(rows_of(data, share.rows.to(device)), share)
+            passes, outputs = passes + 1, []
+            shares = self.ranks.minibatches(len(data), self.cfg.minibatches)
+            minibatches = [self._augmented(rows_of(data, s.rows.to(device)), s) for s in shares]
+            drawn = self.ranks.standardize(minibatches, self.losses.ppo, self.cfg.burn_in)
+            for part, share in minibatches:
+                if self.cfg.burn_in:
+                    part = burnt_in(part, self._remembering, self.cfg.burn_in)
                 outputs.append(self._step(self._losses_of(part, share)))
-                drawn.append(share.drawn(part))
-            drawn = self.ranks.sum(torch.tensor(drawn)).tolist()
             divergence = divergence_of(outputs, drawn)
             if self.cfg.loss.kl_stop is not None and divergence > self.cfg.loss.kl_stop:
                 break
@@ -184,15 +186,12 @@ class Learner:
         data = batch.select(*self._learned, "advantage", "value_target", "state_value")
         return data if self._recurrent else data.reshape(-1)
 
-    def _prepared(self, part: TensorDictBase, share: Share) -> tuple[TensorDictBase, Share]:
-        """A minibatch as its losses see it."""
-        if self.losses.augmentation is not None:
-            with share.drawing():
-                part = self.losses.augmentation(part)
-            share = share.fitted(len(part))
-        if self.cfg.burn_in:
-            part = burnt_in(part, self._remembering, self.cfg.burn_in)
-        return share.standardized(part, self.losses.ppo), share
+    def _augmented(self, part: TensorDictBase, share: Share) -> tuple[TensorDictBase, Share]:
+        if self.losses.augmentation is None:
+            return part, share
+        with share.drawing():
+            part = self.losses.augmentation(part)
+        return part, share.fitted(len(part))
 
     def _losses_of(self, part: TensorDictBase, share: Share) -> TensorDictBase:
         """All losses of a minibatch, PPO's first, and the figures that they report.

@@ -30,6 +30,11 @@ def losses_of(loss: Any, seen: TensorDictBase) -> TensorDictBase:
     return written
 
 
+def learned_steps(part: TensorDictBase, first: int) -> TensorDictBase:
+    """Of sequences ``(N, T)`` the control steps from ``first`` on."""
+    return part[:, first:] if first else part
+
+
 def drawn_samples(part: TensorDictBase) -> int:
     """Samples of a minibatch that the policy drew itself, and no augmentation made."""
     return part.numel() - int(part.get("mirrored", torch.zeros(1)).sum())

@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.modules.normalization import Moments, moments_of
-from zfall.training.minibatches import drawn_samples
+from zfall.training.minibatches import drawn_samples, learned_steps
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 Figures = Mapping[str, tuple[float, float | None]]  # mean and its weight, or a sum and None
@@ -53,12 +53,6 @@ class Share(Protocol):
     def drawing(self) -> AbstractContextManager[Any]:
         """Within it random numbers are those of the whole minibatch."""
 
-    def standardized(self, part: TensorDictBase, loss: Any) -> TensorDictBase:
-        """The part with advantages as the loss wants them."""
-
-    def drawn(self, part: TensorDictBase) -> int:
-        """How many samples of it, on this rank, the policy drew itself."""
-
     def weighed(self, out: TensorDictBase, loss: Any, seen: TensorDictBase) -> TensorDictBase:
         """What a ``loss`` gave for what it has ``seen``, so that the ranks' add up to the whole."""
 
@@ -88,6 +82,20 @@ class Ranks(Protocol):
 
     def minibatches(self, rows: int, parts: int) -> Iterator[Share]:
         """Shares of as many minibatches, of all ranks' data; this rank has ``rows`` of it."""
+
+    def standardize(
+        self, minibatches: Sequence[tuple[TensorDictBase, Any]], loss: Any, first: int
+    ) -> list[int]:
+        """Makes the advantages of the minibatches of a pass what PPO's ``loss`` wants them to be.
+
+        Args:
+            minibatches: this rank's parts, and its shares.
+            loss: of PPO.
+            first: control step of a sequence from which on it learns.
+
+        Returns:
+            How many samples of each, over all ranks, the policy drew itself.
+        """
 
     def add_up(self, parameters: Sequence[Tensor], out: TensorDictBase) -> dict[str, Tensor]:
         """Figures of a whole minibatch ``()``, and its gradient in place of the rank's."""
@@ -135,12 +143,6 @@ class WholeMinibatch:
     def drawing(self) -> AbstractContextManager[Any]:
         return nullcontext()
 
-    def standardized(self, part: TensorDictBase, loss: Any) -> TensorDictBase:
-        return part
-
-    def drawn(self, part: TensorDictBase) -> int:
-        return drawn_samples(part)
-
     def weighed(self, out: TensorDictBase, loss: Any, seen: TensorDictBase) -> TensorDictBase:
         return out
 
@@ -164,6 +166,11 @@ class OneRank:
     def minibatches(self, rows: int, parts: int) -> Iterator[Share]:
         for chosen in torch.randperm(rows).tensor_split(parts):
             yield WholeMinibatch(chosen)
+
+    def standardize(
+        self, minibatches: Sequence[tuple[TensorDictBase, Any]], loss: Any, first: int
+    ) -> list[int]:
+        return [drawn_samples(learned_steps(part, first)) for part, _ in minibatches]
 
     def add_up(self, parameters: Sequence[Tensor], out: TensorDictBase) -> dict[str, Tensor]:
         return {key: value.detach().mean() for key, value in out.items()}

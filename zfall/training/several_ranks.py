@@ -4,9 +4,9 @@ Every rank has a copy of the networks and takes its part of every minibatch. Gra
 and figures are summed over ranks, so that all take the same step. The order of samples, and what
 is drawn for them, are those of one process with all the worlds: each rank draws them for all.
 
-Per minibatch this takes two waits for the network. In one the moments of advantages and what PPO's
-loss counts are summed, if it asks for either; in the other the gradient and figures, side by side.
-An auxiliary loss that leaves samples out takes one more.
+A pass over the data waits once for the network: moments of advantages, and what PPO's loss counts,
+of all minibatches. Each minibatch waits once, for the gradient and figures, side by side. An
+auxiliary loss that leaves samples out takes one more wait in each.
 """
 
 import time
@@ -25,6 +25,7 @@ from torch import Tensor
 from zfall.modules.normalization import Moments, merged_moments, moments_of
 from zfall.training.draws import Draw, DrawnTogether
 from zfall.training.launch import RankLost
+from zfall.training.minibatches import drawn_samples, learned_steps
 from zfall.training.ranks import Figures, Piece, Policy
 from zfall.training.shares import PartOfMinibatch, standardized_by
 
@@ -118,6 +119,24 @@ class SeveralRanks:
             places = ((chosen >= first) & (chosen < first + rows)).nonzero().squeeze(1)
             yield PartOfMinibatch(self, chosen[places] - first, places, len(chosen))
 
+    def standardize(
+        self, minibatches: Sequence[tuple[TensorDictBase, PartOfMinibatch]], loss: Any, first: int
+    ) -> list[int]:
+        own = []
+        for part, share in minibatches:
+            seen = learned_steps(part, first)
+            count, mean, variance = moments_of(seen["advantage"].reshape(-1, 1).double())
+            numbers = mean.new_tensor([count * share.real, drawn_samples(seen) * share.real])
+            parts = numbers, mean, variance, share.counted(loss, seen)
+            own.append(torch.cat([each.cpu() for each in parts]))
+        everyone = self._gathered_rows(torch.stack(own)).transpose(0, 1)
+        for (part, share), rows in zip(minibatches, everyone, strict=True):
+            share.told(loss, rows[:, 4:].sum(0))
+            if self._normalizes:
+                moments = merged_moments((int(row[0]), row[2:3], row[3:4]) for row in rows)
+                part["advantage"] = standardized_by(part["advantage"], moments)
+        return [int(rows[:, 1].sum()) for rows in everyone]
+
     def add_up(self, parameters: Sequence[Tensor], out: TensorDictBase) -> dict[str, Tensor]:
         gradients = [each.grad for each in parameters if each.grad is not None]
         flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
@@ -149,19 +168,11 @@ class SeveralRanks:
 
     def moments(self, rows: Tensor) -> Moments:
         count, mean, variance = moments_of(rows)
-        return self.merged(count, mean, variance)[0]
-
-    def merged(
-        self, count: int, mean: Tensor, variance: Tensor, more: Tensor | None = None
-    ) -> tuple[Moments, Tensor]:
-        """The moments of all ranks' rows from those of each, and sums of ``more`` numbers."""
-        more = torch.zeros(0) if more is None else more
         own = torch.cat([mean.new_tensor([count], dtype=torch.float64), mean, variance])
-        everyone = self._gathered_rows(torch.cat([own.cpu(), more.double()]))
-        parts = ((int(row[0]), *row[1 : len(own)].chunk(2)) for row in everyone)
+        everyone = self._gathered_rows(own.cpu())
+        parts = ((int(row[0]), *row[1:].chunk(2)) for row in everyone)
         total, mean_of_all, variance_of_all = merged_moments(parts)
-        moments = total, mean_of_all.to(mean.device), variance_of_all.to(mean.device)
-        return moments, everyone[:, len(own) :].sum(0)
+        return total, mean_of_all.to(mean.device), variance_of_all.to(mean.device)
 
     def mean(self, values: Tensor) -> Tensor:
         _, mean, _ = self.moments(values.reshape(-1, 1).double())
@@ -169,17 +180,6 @@ class SeveralRanks:
 
     def standardized(self, values: Tensor) -> Tensor:
         return standardized_by(values, self.moments(values.reshape(-1, 1).double()))
-
-    def normalized(self, values: Tensor, real: bool, more: Tensor) -> tuple[Tensor, Tensor]:
-        """Advantages of a minibatch, normalised if a loss would do it, and sums of ``more``.
-
-        Both at once: on a slow network a sum of few numbers costs as much as one of many.
-        """
-        if not self._normalizes:
-            return values, self.sum(more.clone()) if len(more) else more
-        count, mean, variance = moments_of(values.reshape(-1, 1).double())
-        moments, totals = self.merged(count * real, mean, variance, more)
-        return standardized_by(values, moments), totals
 
     def means(self, figures: Figures) -> dict[str, float]:
         everyone: list[Figures] = self.gathered(dict(figures))
@@ -209,7 +209,7 @@ class SeveralRanks:
         return everyone
 
     def _gathered_rows(self, row: Tensor) -> Tensor:
-        out = row.new_zeros(self.size, len(row))  # each its own row: their sum is all of them
+        out = row.new_zeros(self.size, *row.shape)  # each its own row: their sum is all of them
         out[self.rank] = row
         return self.sum(out)
 

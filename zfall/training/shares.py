@@ -9,7 +9,6 @@ from torch import Tensor
 
 from zfall.modules.normalization import Moments
 from zfall.training.draws import Draw, DrawnTogether
-from zfall.training.minibatches import drawn_samples
 
 if TYPE_CHECKING:
     from zfall.training.several_ranks import SeveralRanks
@@ -57,16 +56,11 @@ class PartOfMinibatch:
 
         return DrawnTogether(len(self.rows), supply)
 
-    def standardized(self, part: TensorDictBase, loss: Any) -> TensorDictBase:
-        advantage, self._totals[id(loss)] = self._ranks.normalized(
-            part["advantage"], self.real, self._counted(loss, part)
-        )
-        return part.set("advantage", advantage)
+    def told(self, loss: Any, totals: Tensor) -> None:
+        """Takes in what a loss counts over all ranks, in the order of its names ``(K,)``."""
+        self._totals[id(loss)] = totals
 
-    def drawn(self, part: TensorDictBase) -> int:
-        return drawn_samples(part) * self.real
-
-    def _counted(self, loss: Any, seen: TensorDictBase) -> Tensor:
+    def counted(self, loss: Any, seen: TensorDictBase) -> Tensor:
         """What the loss counts in this part, in the order of its names ``(K,)``."""
         counts = loss.counts(seen).values() if hasattr(loss, "counts") else ()
         own = [number.double().cpu() for number in counts]
@@ -79,7 +73,7 @@ class PartOfMinibatch:
         seen, and how many, has these weighed so.
         """
         weight = self.real * len(self.rows) / self.total_rows
-        own = self._counted(loss, seen)
+        own = self.counted(loss, seen)
         weights: dict[str, float] = {}
         if len(own):
             known = self._totals.get(id(loss))
@@ -101,4 +95,4 @@ def standardized_by(values: Tensor, moments: Moments) -> Tensor:
     """Values less a mean, in units of a standard deviation, those of the moments ``(1,)``."""
     count, mean, variance = moments
     std = (variance * count / max(1, count - 1)).sqrt()
-    return (values - mean.to(values.dtype)) / std.to(values.dtype).clamp_min(1e-6)
+    return (values - mean.to(values)) / std.to(values).clamp_min(1e-6)
