@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 SIZES, ROUNDS = (64, 256, 1024), 5
-# Waits for a sum over ranks, besides two in each minibatch and one in each pass: for the reward and
+# Waits for a sum over ranks, besides one in each minibatch and one in each pass: for the reward and
 # two normalisers; and of the loop two for metrics, one for a check of weights, one for the end.
 AFTER = 7
 MANY = 2**18  # rows by which it is measured what every rank draws for all worlds
@@ -125,7 +125,7 @@ def forecast(costs: Costs, cfg: Any, worlds: int, layout: tuple[int, int, int]) 
     waiting = 0.0
     if ranks > 1:
         hop = STEP + (ONE_WAY if machines > 1 else 0.0)
-        waits = 2 * many + cfg.epochs + AFTER
+        waits = many + cfg.epochs + AFTER
         # gloo's ring has 2 (R - 1) steps, and each is asked for and sent.
         sent = 2 * (ranks - 1) / ranks * 4 * costs.parameters * many
         waiting = waits * 4 * (ranks - 1) * hop + sent / RATE

@@ -79,11 +79,11 @@ def test_with_more_cores_the_longer_of_physics_and_python_counts(worlds, step):
 
 
 def test_ranks_wait_for_a_ring_in_each_minibatch():
-    """29 waits of 4 (R - 1) steps of 0.1 ms, and ten gradients of 4 MB, 1.5 times each."""
+    """19 waits of 4 (R - 1) steps of 0.1 ms, and ten gradients of 4 MB, 1.5 times each."""
     waiting = forecast(COSTS, CFG, worlds=100, layout=(1, 4, 1)).waiting
-    assert waiting == pytest.approx(29 * 4 * 3 * 1e-4 + 10 * 4e6 * 1.5 / 1e9)
+    assert waiting == pytest.approx(19 * 4 * 3 * 1e-4 + 10 * 4e6 * 1.5 / 1e9)
     apart = forecast(COSTS, CFG, worlds=100, layout=(4, 1, 1)).waiting
-    assert apart - waiting == pytest.approx(29 * 4 * 3 * 5e-5)
+    assert apart - waiting == pytest.approx(19 * 4 * 3 * 5e-5)
 
 
 def test_every_rank_draws_for_all_worlds():
