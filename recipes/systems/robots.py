@@ -9,9 +9,9 @@ def main() -> None:
     """Prints both tables in Markdown."""
     from rich.console import Console
 
+    from recipes.systems.published import jumps_table, robots_table
     from zfall.configs import compose_config
     from zfall.envs.tables import robot_of
-    from zfall.evaluation.published import jumps_table, robots_table
     from zfall.evaluation.writers import markdown
 
     robots = [robot_of(compose_config([f"robot={name}"]).env) for name in NAMES]

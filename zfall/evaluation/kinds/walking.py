@@ -29,7 +29,7 @@ class Walking:
     """Commands x starts, nobody pushes; the measure ``CommandFollowing`` gives its figures."""
 
     independent: ClassVar[bool] = True
-    baseline_task: ClassVar[str] = "zeroth_walk"
+    baseline_task: ClassVar[str] = "walk"
     study_figures: ClassVar[Figures] = {
         "velocity_error": ("velocity error [m/s]", 3),
         "yaw_rate_error": ("yaw rate error [rad/s]", 3),
@@ -75,7 +75,7 @@ class Walking:
         if not given:
             raise ValueError(
                 f"run must be a policy that is given commands for battery {battery.name}, but its "
-                "env has no transform Command: zeroth_walk has one."
+                "env has no transform Command: env=walk has one."
             )
         command = torch.zeros(len(trials), len(ENTRIES))
         for name in GIVEN:
