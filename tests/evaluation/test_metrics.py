@@ -54,6 +54,17 @@ def test_fall_rise_and_stand_are_told_apart(make_base):
     assert table["peak_contact_force/head"].tolist() == [0.0, 50.0, 0.0]
 
 
+def test_a_robot_whose_body_meets_no_floor_has_fallen_once_it_lies(make_base):
+    """Of 0.220 m the center of mass is at 0.068 m, then, of world 1 alone, at 0.064 m: 0.3 is 0.066."""
+    env = make_base(num_envs=3)
+    outcomes = Outcomes(env, load_battery("planar", push_time=0.2, end_time=1.0))
+    regions, height = len(env.regions), env.robot.com_height
+    for share in (0.31, 0.29, 0.31):
+        places = torch.tensor([[0.0, 0, height], [0, 0, share * height], [0, 0, 0.31 * height]])
+        outcomes.update(record(regions, com_position=places))
+    assert outcomes.fell.tolist() == [False, True, False]
+
+
 def test_peaks_before_the_push_do_not_count(make_base):
     env = make_base(num_envs=3)
     outcomes = Outcomes(env, load_battery("planar", push_time=0.2, end_time=1.0))
