@@ -16,7 +16,7 @@ from zfall.robots.symmetry import find_symmetry
 from zfall.robots.units import factor, sized
 from zfall.simulation.model import compile_model
 
-POSITION = '<position joint="{name}" kp="{kp}" kv="0.5" gear="{gear}" forcerange="-6 6"/>'
+SERVO = '<position joint="{name}" kp="40" kv="0.5" forcerange="-6 6"/>'
 
 
 def toy(folder: Path, **changes: object) -> Robot:
@@ -47,55 +47,9 @@ def test_height_is_that_of_the_pose_that_the_servos_hold(tmp_path):
     assert robot.com_height == pytest.approx(expected, abs=2e-3)
 
 
-def test_a_motor_gets_a_controller_with_its_largest_torque(tmp_path):
-    model = bare_model(toy(tmp_path))
-    actuator = model.actuator("left_knee")
-    np.testing.assert_allclose(actuator.forcerange, [-10.0, 10.0])  # gear x control range
-    upright = MASS * 9.81 * 0.25  # holds the robot as a pendulum upside down
-    assert actuator.gainprm[0] >= max(10.0 / 0.35, upright) - 1e-6
-    assert actuator.biasprm[2] < 0.0  # damped
-
-
-def test_a_geared_position_actuator_is_the_same_servo_at_the_joint(tmp_path):
-    """Torque g kp (g target - g q): stiffness, damping and limit with the gear."""
-    model = bare_model(toy(tmp_path, actuator=POSITION.format(name="{name}", kp=3, gear=4)))
-    actuator = model.actuator("right_ankle")
-    assert actuator.gainprm[0] == pytest.approx(3 * 4**2)
-    assert actuator.biasprm[2] == pytest.approx(-0.5 * 4**2)
-    np.testing.assert_allclose(actuator.forcerange, [-24.0, 24.0])
-
-
-def test_a_dc_motor_loses_torque_with_speed_and_gives_what_its_voltage_can(tmp_path):
-    """At rest gear K V / R; each rad/s costs (gear K)^2 / R."""
-    motor = (
-        '<dcmotor name="{name}" joint="{name}" motorconst="0.05" resistance="2" gear="20" '
-        'ctrlrange="-12 12" ctrllimited="true"/>'
-    )
-    model = bare_model(toy(tmp_path, actuator=motor))
-    np.testing.assert_allclose(
-        model.actuator("left_hip").forcerange, 20 * 0.05 * 12 / 2 * np.array([-1, 1])
-    )
-    assert model.joint("left_hip").damping[0] == pytest.approx(0.05 + (20 * 0.05) ** 2 / 2)
-
-
-def test_declared_stiffness_is_used(tmp_path):
-    path = str(toy_mjcf(tmp_path))
-    model = bare_model(Robot(name="toy", mjcf=path, stiffness={"left_hip": 77.0}))
-    assert model.actuator("left_hip").gainprm[0] == pytest.approx(77.0)
-    assert model.actuator("right_hip").gainprm[0] != pytest.approx(77.0)
-
-
-def test_a_joint_without_stops_has_a_range_for_its_targets(tmp_path):
-    text = toy_mjcf(tmp_path).read_text().replace('range="-1 1"', "")
-    (tmp_path / "toy.xml").write_text(text)
-    model = bare_model(Robot(name="toy", mjcf=str(tmp_path)))
-    np.testing.assert_allclose(model.joint("left_ankle").range, [-np.pi, np.pi])
-    assert not model.jnt_limited[model.joint("left_ankle").id]
-
-
 def test_what_is_added_moves_nothing(tmp_path):
     """The physics of the completed toy is that of its MJCF, whatever reads it."""
-    robot = toy(tmp_path, actuator=POSITION.format(name="{name}", kp=40, gear=1))
+    robot = toy(tmp_path, actuator=SERVO)
     spec = full_spec(robot)
     for sensor in list(spec.sensors):
         spec.delete(sensor)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 _FULL = 0.35  # error at which a motor with our controller gives all that it can [rad]
+_ROUNDING = 1e-6  # share by which a largest torque may differ between both ways
 Stiffness = float | Mapping[str, float] | None
 
 
@@ -55,7 +56,8 @@ def make_servos(
         upright: least stiffness of joints that must hold the robot up [N m/rad].
 
     Raises:
-        ValueError: on an actuator that cannot follow a target, or has no largest torque.
+        ValueError: on an actuator that cannot follow a target, has no largest torque, or another
+            one each way.
     """
     for number, joint in enumerate(actuated_joints(model)):
         if joint not in joints:
@@ -70,6 +72,9 @@ def make_servos(
                     actuator.set_to_position(kp=known, dampratio=1.0)
                 elif gear != 1.0:  # the same servo, at the joint
                     actuator.set_to_position(kp=-own[1] * gear**2, kv=-own[2] * gear**2)
+                if gear != 1.0:  # its targets are angles of the joint, too
+                    actuator.inheritrange = 0.0
+                    actuator.ctrlrange = np.sort(model.actuator_ctrlrange[number] / gear)
             case "motor" | "dcmotor":
                 if kind == "dcmotor":
                     hinge.damping[0] += _back_emf(model, number)
@@ -112,25 +117,31 @@ def _kind(model: mujoco.MjModel, number: int) -> str:
 
 
 def _largest_torque(model: mujoco.MjModel, number: int, joint: str) -> float:
-    """At the joint [N m]: the least of what limits it."""
-    gear = abs(float(model.actuator_gear[number, 0]))
+    """At the joint [N m], both ways: the least of what limits it."""
+    gear, on = float(model.actuator_gear[number, 0]), model.joint(joint).id
     limits = []
     if model.actuator_forcelimited[number]:
-        limits.append(gear * abs(model.actuator_forcerange[number]).max())
-    if model.jnt_actfrclimited[model.joint(joint).id]:
-        limits.append(abs(model.jnt_actfrcrange[model.joint(joint).id]).max())
+        limits.append(gear * model.actuator_forcerange[number])
+    if model.jnt_actfrclimited[on]:
+        limits.append(model.jnt_actfrcrange[on])
     kind = _kind(model, number)
     if kind != "position" and model.actuator_ctrllimited[number]:
-        volts = abs(model.actuator_ctrlrange[number]).max()
         gain = model.actuator_gainprm[number]
         per_volt = gain[0] if kind == "motor" else gain[1] / gain[0]
-        limits.append(gear * abs(per_volt) * volts)
+        limits.append(gear * per_volt * model.actuator_ctrlrange[number])
     if not limits:
         raise ValueError(
             f"joint {joint} must have a largest torque: a forcerange of its actuator, or an "
             "actuatorfrcrange"
         )
-    return float(min(limits))
+    ranges = np.sort(limits, axis=-1)
+    low, high = float(ranges[:, 0].max()), float(ranges[:, 1].min())
+    if high <= 0.0 or abs(high + low) > _ROUNDING * high:
+        raise ValueError(
+            f"joint {joint} must have the same largest torque both ways, its actuator gives "
+            f"{low:g} to {high:g} N m: give it a symmetric forcerange (of a motor, ctrlrange)"
+        )
+    return high
 
 
 def _back_emf(model: mujoco.MjModel, number: int) -> float:
