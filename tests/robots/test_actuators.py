@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.toy import MASS, toy_mjcf
+from tests.toy import toy_mjcf
 from zfall.robots import Robot, bare_model
 
 POSITION = '<position joint="{name}" kp="{kp}" kv="0.5" gear="{gear}" forcerange="-6 6" {more}/>'
@@ -22,9 +22,19 @@ def test_a_motor_gets_a_controller_with_its_largest_torque(tmp_path):
     model = bare_model(toy(tmp_path))
     actuator = model.actuator("left_knee")
     np.testing.assert_allclose(actuator.forcerange, [-10.0, 10.0])  # gear x control range
-    upright = MASS * 9.81 * 0.25  # holds the robot as a pendulum upside down
-    assert actuator.gainprm[0] >= max(10.0 / 0.35, upright) - 1e-6
+    assert actuator.gainprm[0] == pytest.approx(10.0 / 0.35)  # more than the weight needs
     assert actuator.biasprm[2] < 0.0  # damped
+
+
+def test_a_weak_motor_is_stiff_enough_to_hold_the_legs_up(tmp_path):
+    """m g h, as a pendulum upside down, with m h the sum of m z; 1.5 N m / 0.35 rad is less."""
+    weak = '<motor joint="{name}" ctrlrange="-1.5 1.5"/>'
+    model = bare_model(toy(tmp_path, actuator=weak))
+    moment = 1.3 * 0.35 + 0.6 * 0.225 + 0.4 * 0.1 + 0.2 * 0.01  # of all links, both legs [kg m]
+    for joint in ("left_hip", "left_knee", "right_ankle"):
+        actuator = model.actuator(joint)
+        assert actuator.gainprm[0] == pytest.approx(9.81 * moment)
+        np.testing.assert_allclose(actuator.forcerange, [-1.5, 1.5])
 
 
 def test_a_geared_position_actuator_is_the_same_servo_at_the_joint(tmp_path):
