@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.toy import FOOT, HALF_FOOT, HINGES, MASS, toy_mjcf
-from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model, full_spec
+from zfall.robots import ZEROTH01, PushPoint, Robot, bare_model
 from zfall.robots.anatomy import hips_of
 from zfall.robots.declared import check_declared
 from zfall.robots.symmetry import find_symmetry
@@ -48,19 +48,23 @@ def test_height_is_that_of_the_pose_that_the_servos_hold(tmp_path):
 
 
 def test_what_is_added_moves_nothing(tmp_path):
-    """The physics of the completed toy is that of its MJCF, whatever reads it."""
+    """The physics of the completed toy is that of its MJCF, which MuJoCo reads by itself.
+
+    But for the integrator, and the floor that the MJCF lacks.
+    """
     robot = toy(tmp_path, actuator=SERVO)
-    spec = full_spec(robot)
-    for sensor in list(spec.sensors):
-        spec.delete(sensor)
-    models = [bare_model(robot), spec.compile()]
-    states = []
-    for model in models:
+    floor = '<worldbody><geom type="plane" size="0 0 1" friction="1 0.005 0.0001"/></worldbody>'
+    plain = mujoco.MjModel.from_xml_path(str(toy_mjcf(tmp_path, actuator=SERVO, more=floor)))
+    assert plain.nsensor == plain.nsite == plain.nkey == 0
+    plain.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    whole = bare_model(robot)
+    stand, states = whole.key("stand"), []
+    for model in (whole, plain):
         data = mujoco.MjData(model)
-        mujoco.mj_resetDataKeyframe(model, data, 0)
-        data.qvel[:2] = [0.3, 0.1]
-        for _ in range(200):
-            mujoco.mj_step(model, data)
+        data.qpos[:], data.ctrl[:] = stand.qpos, stand.ctrl
+        data.qvel[:6] = [0.3, 0.1, 0.0, 0.0, 0.0, 6.0]  # it turns on its soles
+        mujoco.mj_step(model, data, 200)
+        assert data.ncon >= 4  # on the floor
         states.append(data.qpos.copy())
     np.testing.assert_array_equal(*states)
 
