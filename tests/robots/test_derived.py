@@ -69,6 +69,44 @@ def test_what_is_added_moves_nothing(tmp_path):
     np.testing.assert_array_equal(*states)
 
 
+def test_names_that_an_mjcf_refers_to_may_be_those_that_are_replaced(tmp_path):
+    """A plane ``ground`` in a pair and a contact sensor, and an actuator in a sensor."""
+    foot = FOOT.replace("<geom", '<geom name="{side}"')
+    more = (
+        '<worldbody><geom name="ground" type="plane" size="0 0 1"/></worldbody>'
+        '<contact><pair geom1="left" geom2="ground" friction="0.7 0.7 0.005 0.0001 0.0001"/>'
+        '<pair geom1="ground" geom2="right"/></contact>'
+        '<sensor><actuatorfrc name="torque" actuator="left_hip_motor"/>'
+        '<contact name="first" geom1="left" geom2="ground" data="force" reduce="netforce"/>'
+        '<contact name="other" geom1="ground" geom2="right" data="force" reduce="netforce"/></sensor>'
+        '<custom><tuple name="both"><element objtype="actuator" objname="left_hip_motor"/>'
+        '<element objtype="geom" objname="ground"/></tuple></custom>'
+    )
+    model = bare_model(toy(tmp_path, foot=foot, more=more))
+    floor, left, right = (model.geom(name).id for name in ("floor", "left", "right"))
+    pairs = {frozenset(p) for p in zip(model.pair_geom1, model.pair_geom2, strict=True)}
+    assert pairs == {frozenset((floor, left)), frozenset((floor, right))}
+    assert model.sensor("torque").objid[0] == model.actuator("left_hip").id
+    assert list(model.tuple_objid) == [model.actuator("left_hip").id, floor]
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, 1000)
+    weight = sum(abs(data.sensor(name).data[2]) for name in ("first", "other"))
+    assert weight == pytest.approx(MASS * 9.81, rel=0.02)
+    np.testing.assert_array_equal(data.sensor("torque").data, data.actuator("left_hip").force)
+
+
+def test_actuators_may_have_the_names_of_other_joints(tmp_path):
+    """The sensor of the actuator that drives the right hip still is that of the right hip."""
+    path = toy_mjcf(tmp_path, more='<sensor><actuatorfrc name="s" actuator="left_hip"/></sensor>')
+    text = path.read_text()
+    for side, other in (("left", "right"), ("right", "left")):
+        text = text.replace(f'"{side}_hip_motor"', f'"{other}_hip"')
+    path.write_text(text)
+    model = bare_model(Robot(name="toy", mjcf=str(path)))
+    assert model.sensor("s").objid[0] == model.actuator("right_hip").id
+
+
 def test_what_is_only_seen_is_left_out_of_the_physics_and_kept_for_pictures(tmp_path):
     shell = '<geom size="0.05" contype="0" conaffinity="0" mass="0"/>'
     robot = toy(tmp_path, foot=FOOT + shell)

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from zfall.robots.mjcf import follow
+
 _FULL = 0.35  # error at which a motor with our controller gives all that it can [rad]
 _ROUNDING = 1e-6  # share by which a largest torque may differ between both ways
 Stiffness = float | Mapping[str, float] | None
@@ -59,6 +61,7 @@ def make_servos(
         ValueError: on an actuator that cannot follow a target, has no largest torque, or another
             one each way.
     """
+    renamed: dict[str, str] = {}
     for number, joint in enumerate(actuated_joints(model)):
         if joint not in joints:
             raise ValueError(f"joints must name all that have an actuator, {joint} is missing")
@@ -90,7 +93,12 @@ def make_servos(
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-limit, limit]
         hinge.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-        actuator.name = joint
+        if actuator.name:
+            renamed[actuator.name] = joint
+        actuator.name = f"zfall/{joint}"  # until no other has the name of the joint
+    for number, joint in enumerate(actuated_joints(model)):
+        spec.actuators[number].name = joint
+    follow(spec, mujoco.mjtObj.mjOBJ_ACTUATOR, renamed)
     for joint in joints:
         if spec.actuator(joint) is None:
             raise ValueError(f"joints must have an actuator each, {joint} has none")

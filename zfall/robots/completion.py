@@ -13,7 +13,7 @@ import numpy as np
 
 from zfall.robots.actuators import actuated_joints, make_servos
 from zfall.robots.geometry import Sole
-from zfall.robots.mjcf import compile_spec, plain_model, read_spec
+from zfall.robots.mjcf import compile_spec, follow, plain_model, read_spec
 
 if TYPE_CHECKING:
     from zfall.robots.robot import Robot
@@ -125,8 +125,10 @@ def _add_floor(spec: mujoco.MjSpec) -> None:
                 material="zfall/tiles",
             )
         ]
-    if planes[0].name != "floor":
+    if (before := planes[0].name) != "floor":
         planes[0].name = "floor"
+        if before:
+            follow(spec, mujoco.mjtObj.mjOBJ_GEOM, {before: "floor"})
 
 
 def _add_camera(spec: mujoco.MjSpec, add: Additions) -> None:

@@ -1,5 +1,6 @@
 """MJCF files found and read; what is wrong with one is said in one line."""
 
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,6 +62,29 @@ def compile_spec(spec: mujoco.MjSpec, path: str) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, OSError) as error:
         raise ValueError(f"mjcf must compile, {path} does not: {_in_one_line(error)}") from None
+
+
+def follow(spec: mujoco.MjSpec, kind: mujoco.mjtObj, renamed: Mapping[str, str]) -> None:
+    """Has what refers to elements by their names know the new ones; changes the spec.
+
+    Args:
+        spec: in which geoms or actuators have been renamed.
+        kind: of these.
+        renamed: new names by old ones.
+    """
+    for sensor in spec.sensors:
+        if sensor.objtype == kind:
+            sensor.objname = renamed.get(sensor.objname, sensor.objname)
+        if sensor.reftype == kind:
+            sensor.refname = renamed.get(sensor.refname, sensor.refname)
+    if kind == mujoco.mjtObj.mjOBJ_GEOM:
+        for pair in spec.pairs:
+            pair.geomname1 = renamed.get(pair.geomname1, pair.geomname1)
+            pair.geomname2 = renamed.get(pair.geomname2, pair.geomname2)
+    for group in spec.tuples:
+        for number, each in enumerate(group.objtype):
+            if each == kind and group.objname[number] in renamed:
+                group.objname[number] = renamed[group.objname[number]]
 
 
 def plain_model(path: str) -> mujoco.MjModel:
