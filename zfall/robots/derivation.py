@@ -15,6 +15,14 @@ from zfall.robots.completion import STAND, Additions, complete
 from zfall.robots.geometry import Sole, sole_of
 from zfall.robots.mjcf import compile_spec, plain_model, read_spec
 from zfall.robots.points import PushPoint
+from zfall.robots.refusals import (
+    GRAVITY,
+    check_base,
+    check_feet,
+    check_joints,
+    check_regions,
+    check_stiffness,
+)
 from zfall.robots.symmetry import find_symmetry
 
 if TYPE_CHECKING:
@@ -24,7 +32,6 @@ Array = NDArray[np.float64]
 _READ = ("mjcf", "joints", "stand", "keyframe", "feet", "foot_links", "region_links", "stiffness",
          "held")  # fmt: skip
 
-GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
 SETTLING = 20.0  # time for which the servos must hold the reference pose, in units of sqrt(h0 / g)
 FALLEN, LEANS = 0.8, 0.35  # share of the height, and tilt [rad], beyond which they do not
 _DT = 0.002  # of the settling, or the MJCF's own if that is shorter [s]
@@ -72,9 +79,10 @@ def derive(robot: "Robot") -> Derived:
 
 def _derive(robot: "Robot") -> Derived:
     spec, model = read_spec(robot.mjcf), plain_model(robot.mjcf)
-    _check_base(model)
+    check_base(model)
     joints = tuple(robot.joints or actuated_joints(model))
-    _check_joints(model, joints)
+    check_joints(model, joints)
+    check_stiffness(robot.stiffness, joints)
     stand, tilt = _reference(model, joints, robot)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
@@ -152,26 +160,6 @@ def settled_height(model: mujoco.MjModel) -> float:
     return height
 
 
-def _check_base(model: mujoco.MjModel) -> None:
-    """Raises unless the first link alone moves freely."""
-    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-    if not len(free):
-        raise ValueError("the robot must have a free joint, it has none")
-    if len(free) > 1 or free[0] != 0 or model.jnt_bodyid[0] != 1:
-        there = ", ".join(model.body(int(model.jnt_bodyid[joint])).name for joint in free)
-        raise ValueError(
-            f"the first body of the world alone must have a free joint, these have: {there}"
-        )
-
-
-def _check_joints(model: mujoco.MjModel, joints: Sequence[str]) -> None:
-    known = [model.joint(number).name for number in range(model.njnt)]
-    if unknown := [joint for joint in joints if joint not in known]:
-        raise ValueError(f"joints must be of {', '.join(known)}; there is no {unknown[0]}")
-    if not joints:
-        raise ValueError("the robot must have actuators on hinge joints, it has none")
-
-
 def _reference(
     model: mujoco.MjModel, joints: Sequence[str], robot: "Robot"
 ) -> tuple[dict[str, float], Array]:
@@ -220,9 +208,7 @@ def _feet(
 ) -> tuple[int, int]:
     if links is None:
         return anatomy.find_feet(model, data)
-    names = [model.body(number).name for number in range(1, model.nbody)]
-    if unknown := [link for link in links if link not in names]:
-        raise ValueError(f"foot_links must be of {', '.join(names)}; there is no {unknown[0]}")
+    check_feet(model, data, links)
     return int(model.body(links[0]).id), int(model.body(links[1]).id)
 
 
@@ -252,12 +238,7 @@ def _regions(
     if declared is None:
         found = anatomy.find_regions(model, data, feet)
         return {name: tuple(model.body(b).name for b in ids) for name, ids in found.items()}
-    names = [model.body(number).name for number in range(1, model.nbody)]
-    for region, links in declared.items():
-        if unknown := [link for link in links if link not in names]:
-            raise ValueError(f"region_links.{region} must be links, there is no {unknown[0]}")
-    if tuple(declared)[-2:] != anatomy.FOOT:
-        raise ValueError(f"region_links must end with {' and '.join(anatomy.FOOT)}")
+    check_regions(model, feet, declared)
     return {name: tuple(links) for name, links in declared.items()}
 
 

@@ -7,10 +7,11 @@ from typing import Any
 
 from zfall.robots.actuators import Stiffness
 from zfall.robots.completion import CORNERS, Additions
-from zfall.robots.derivation import GRAVITY, Derived, derive
+from zfall.robots.derivation import Derived, derive
 from zfall.robots.kneels import KneelSearch
 from zfall.robots.mjcf import find_mjcf, read_spec
 from zfall.robots.points import PushPoint
+from zfall.robots.refusals import GRAVITY, check_postures
 
 __all__ = ["GRAVITY", "PushPoint", "Robot"]
 
@@ -105,9 +106,12 @@ class Robot:
         for name in _TUPLES:  # yaml has lists
             if isinstance(value := getattr(self, name), list):
                 object.__setattr__(self, name, tuple(value))
-        if not self._lacking:
-            object.__setattr__(self, "legs", self.legs or ())
-            return
+        if self._lacking:
+            self._derive()
+        object.__setattr__(self, "legs", self.legs or ())
+        check_postures(self.postures, self.joints)
+
+    def _derive(self) -> None:
         derived = self.derived
         points = {**derived.push_points, **(self.push_points or {})}
         object.__setattr__(self, "push_points", points)

@@ -1,0 +1,102 @@
+"""What is declared of a toy and cannot be, refused in one line; and what can be, is taken."""
+
+import pytest
+
+from tests.toy import toy_mjcf
+from zfall.robots import Robot
+
+REGIONS = {
+    "torso": ("trunk",),
+    "legs": ("left_thigh", "right_thigh", "left_shank", "right_shank"),
+    "left_foot": ("left_sole",),
+    "right_foot": ("right_sole",),
+}
+
+
+@pytest.fixture(scope="module")
+def mjcf(tmp_path_factory) -> str:
+    return str(toy_mjcf(tmp_path_factory.mktemp("toy")))
+
+
+def refused(**declared: object) -> str:
+    with pytest.raises(ValueError) as error:  # noqa: PT011 - the caller reads it
+        Robot(name="toy", **declared)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("declared", "says"),
+    [
+        ({"stiffness": {"left_hip": 50.0, "left_kne": 50.0}}, ("stiffness", "left_kne:")),
+        ({"stiffness": {"left_hip": 0.0}}, ("stiffness.left_hip must be positive", "got 0.0")),
+        ({"stiffness": -3.0}, ("stiffness must be positive", "got -3.0")),
+        ({"postures": {"kneel": {"left_kne": 0.4}}}, ("postures.kneel", "left_kne:", "left_knee")),
+        ({"stand": {"left_kne": 0.4}}, ("stand must name joints", "left_kne")),
+    ],
+)
+def test_a_misspelt_joint_or_a_stiffness_that_holds_nothing_is_refused(mjcf, declared, says):
+    text = refused(mjcf=mjcf, **declared)
+    assert all(part in text for part in says), text
+
+
+@pytest.mark.parametrize(
+    ("links", "says"),
+    [
+        (("right_sole", "left_sole"), "right_sole lies right of left_sole: exchange"),
+        (("left_sole", "left_sole"), "none carries the other, got left_sole and left_sole"),
+        (("left_sole", "left_thigh"), "none carries the other, got left_sole and left_thigh"),
+        (("left_sole",), "got 1 links"),
+        (("left_sole", "right_sol"), "there is no right_sol"),
+    ],
+)
+def test_feet_that_cannot_be_the_left_and_the_right_one_are_refused(mjcf, links, says):
+    assert says in refused(mjcf=mjcf, foot_links=links)
+
+
+def test_a_foot_that_cannot_meet_the_floor_is_refused(tmp_path):
+    foot = '<geom type="box" size="0.06 0.03 0.01" mass="0.1" contype="0" conaffinity="0"/>'
+    path = str(toy_mjcf(tmp_path, foot=foot))
+    assert "left_sole has no geom that does" in refused(
+        mjcf=path, foot_links=("left_sole", "right_sole")
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"legs": ("left_thigh", "right_thigh")}, "left_shank, right_shank are missing"),
+        ({"torso": ()}, "trunk is missing"),
+        ({"left_foot": ("right_sole",), "right_foot": ("left_sole",)}, "it lacks left_sole"),
+        ({"torso": ("trunk", "tail")}, "region_links.torso must be links, there is no tail"),
+    ],
+)
+def test_regions_that_do_not_see_each_fall_are_refused(mjcf, changes, says):
+    text = refused(mjcf=mjcf, region_links=REGIONS | changes)
+    assert "region_links" in text
+    assert says in text
+
+
+def test_what_is_declared_rightly_is_taken(mjcf):
+    plain = Robot(name="toy", mjcf=mjcf)
+    robot = Robot(
+        name="toy",
+        mjcf=mjcf,
+        foot_links=["left_sole", "right_sole"],
+        region_links={region: list(links) for region, links in REGIONS.items()},
+        stiffness={"left_hip": 60.0, "right_hip": 60.0},
+        postures={"kneel": {"left_knee": 0.4}},
+    )
+    assert robot.regions == tuple(REGIONS)
+    assert robot.additions.soles[0].link == plain.additions.soles[0].link == "left_sole"
+    assert robot.posture("kneel") == (0.0, 0.4, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_regions_may_be_the_feet_alone_if_nothing_else_meets_the_floor(tmp_path):
+    path = toy_mjcf(tmp_path)
+    bare = path.read_text().replace('mass="1.3"', 'mass="1.3" contype="0" conaffinity="0"')
+    for mass in ('mass="0.3"', 'mass="0.2"'):
+        bare = bare.replace(mass, f'{mass} contype="0" conaffinity="0"')
+    path.write_text(bare)
+    feet = {region: REGIONS[region] for region in ("left_foot", "right_foot")}
+    assert Robot(name="toy", mjcf=str(path), region_links=feet).regions == tuple(feet)
