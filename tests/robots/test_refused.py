@@ -1,9 +1,13 @@
 """What is declared of a toy and cannot be, refused in one line; and what can be, is taken."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from tests.toy import toy_mjcf
-from zfall.robots import Robot
+from zfall.robots import ZEROTH01, Robot
+from zfall.robots.declared import check_declared
 
 REGIONS = {
     "torso": ("trunk",),
@@ -100,3 +104,21 @@ def test_regions_may_be_the_feet_alone_if_nothing_else_meets_the_floor(tmp_path)
     path.write_text(bare)
     feet = {region: REGIONS[region] for region in ("left_foot", "right_foot")}
     assert Robot(name="toy", mjcf=str(path), region_links=feet).regions == tuple(feet)
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ('<option gravity="0 0 -1.62"/>', "the MJCF has 0 0 -1.62"),
+        ('<option gravity="0 -9.81 0"/>', "the MJCF has 0 -9.81 0"),
+        ('<option><flag gravity="disable"/></option>', "the MJCF has 0 0 0"),
+    ],
+)
+def test_another_gravity_than_that_of_the_units_is_refused(tmp_path, option, says):
+    text = refused(mjcf=str(toy_mjcf(tmp_path, more=option)))
+    assert "gravity must be 0 0 -9.81" in text
+    assert says in text
+    whole = Path(ZEROTH01.mjcf).read_text().replace("</mujoco>", f"{option}</mujoco>")
+    (tmp_path / "zeroth01.xml").write_text(whole)
+    with pytest.raises(ValueError, match=says):
+        check_declared(replace(ZEROTH01, mjcf=str(tmp_path / "zeroth01.xml")))

@@ -7,6 +7,7 @@ import numpy as np
 
 from zfall.robots.completion import bare_model
 from zfall.robots.derivation import settled_height
+from zfall.robots.refusals import check_gravity
 from zfall.robots.robot import Robot
 from zfall.robots.symmetry import Symmetry, asymmetry
 
@@ -24,6 +25,10 @@ def check_declared(robot: Robot) -> None:
         ValueError: naming what was declared, and what the model says.
     """
     model = bare_model(robot)
+    try:
+        check_gravity(model)
+    except ValueError as error:
+        raise ValueError(f"{robot.mjcf}: {error}.") from None
     _check(robot, "mass", robot.mass, float(model.body_mass.sum()), _MASS, "kg")
     _check_stand(robot, model)
     _check(robot, "com_height", robot.com_height, _height(robot, model), _HEIGHT, "m")

@@ -19,6 +19,7 @@ from zfall.robots.refusals import (
     GRAVITY,
     check_base,
     check_feet,
+    check_gravity,
     check_joints,
     check_regions,
     check_stiffness,
@@ -80,6 +81,7 @@ def derive(robot: "Robot") -> Derived:
 def _derive(robot: "Robot") -> Derived:
     spec, model = read_spec(robot.mjcf), plain_model(robot.mjcf)
     check_base(model)
+    check_gravity(model)
     joints = tuple(robot.joints or actuated_joints(model))
     check_joints(model, joints)
     check_stiffness(robot.stiffness, joints)

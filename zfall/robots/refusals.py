@@ -15,6 +15,18 @@ if TYPE_CHECKING:
 GRAVITY = 9.81  # [m/s2], MuJoCo's default, which the assets keep
 
 
+def check_gravity(model: mujoco.MjModel) -> None:
+    """Raises unless it is that of all units without dimension."""
+    on = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    found = model.opt.gravity if on else np.zeros(3)
+    if not np.allclose(found, [0.0, 0.0, -GRAVITY], rtol=0.0, atol=1e-6):
+        there = " ".join(f"{value:g}" for value in found)
+        raise ValueError(
+            f"gravity must be 0 0 -{GRAVITY:g} m/s2, as all units without dimension have it, the "
+            f"MJCF has {there}: leave it out of its option"
+        )
+
+
 def check_base(model: mujoco.MjModel) -> None:
     """Raises unless the first link alone moves freely."""
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
