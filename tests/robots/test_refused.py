@@ -3,10 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from tests.toy import toy_mjcf
-from zfall.robots import ZEROTH01, Robot
+from zfall.robots import ZEROTH01, Robot, bare_model
 from zfall.robots.declared import check_declared
 
 REGIONS = {
@@ -122,3 +124,28 @@ def test_another_gravity_than_that_of_the_units_is_refused(tmp_path, option, say
     (tmp_path / "zeroth01.xml").write_text(whole)
     with pytest.raises(ValueError, match=says):
         check_declared(replace(ZEROTH01, mjcf=str(tmp_path / "zeroth01.xml")))
+
+
+@pytest.mark.parametrize("yaw", [0.4, np.pi / 2, np.pi, -2.5])
+def test_a_keyframe_that_faces_elsewhere_gives_the_same_robot(tmp_path, yaw):
+    """Which way it faces is no property of a robot; how it leans is."""
+    robots = []
+    lean = np.array([np.cos(0.02), 0.0, np.sin(0.02), 0.0])  # forward by 0.04 rad
+    for number, angle in enumerate((0.0, yaw)):
+        base = np.zeros(4)
+        mujoco.mju_mulQuat(base, np.array([np.cos(angle / 2), 0, 0, np.sin(angle / 2)]), lean)
+        (folder := tmp_path / str(number)).mkdir()
+        ankles = "0 0 -0.04 0 0 0.04"  # the soles are flat on the floor
+        key = f'qpos="0 0 0.3 {" ".join(map(str, base))} {ankles}"'
+        robots.append(Robot(name="toy", mjcf=str(toy_mjcf(folder, key=key))))
+    first, other = robots
+    np.testing.assert_allclose(bare_model(first).key("stand").qpos[3:7], lean, atol=1e-12)
+    np.testing.assert_allclose(
+        bare_model(other).key("stand").qpos, bare_model(first).key("stand").qpos, atol=1e-9
+    )
+    for mine, theirs in zip(other.additions.soles, first.additions.soles, strict=True):
+        assert mine.link == theirs.link
+        np.testing.assert_allclose(mine.position, theirs.position, atol=1e-9)
+    assert other.regions == first.regions
+    assert other.sole_half_size == pytest.approx(first.sole_half_size)
+    assert other.com_height == pytest.approx(first.com_height, rel=1e-4)

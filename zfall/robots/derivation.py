@@ -165,7 +165,7 @@ def settled_height(model: mujoco.MjModel) -> float:
 def _reference(
     model: mujoco.MjModel, joints: Sequence[str], robot: "Robot"
 ) -> tuple[dict[str, float], Array]:
-    """Angles of all hinges in the reference pose [rad], and the base's orientation."""
+    """Angles of all hinges in the reference pose [rad], and how the base leans."""
     hinges = [
         model.joint(number)
         for number in range(model.njnt)
@@ -185,7 +185,18 @@ def _reference(
     if robot.stand is not None:
         angles |= dict.fromkeys(joints, 0.0)
     angles |= {name: float(angle) for name, angle in stand.items()}
-    return angles, qpos[3:7] / np.linalg.norm(qpos[3:7])
+    return angles, _facing_forward(qpos[3:7] / np.linalg.norm(qpos[3:7]))
+
+
+def _facing_forward(base: Array) -> Array:
+    """An orientation without its turn about the vertical: it leans as before, facing along x."""
+    w, x, y, z = base
+    yaw = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    if yaw == 0.0:
+        return base
+    found = np.zeros(4)
+    mujoco.mju_mulQuat(found, np.array([np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2)]), base)
+    return found
 
 
 def _keyframe(robot: "Robot", names: Sequence[str]) -> str | None:
