@@ -139,7 +139,8 @@ def test_other_weights_are_another_policy(described, tmp_path):
 def counting(tmp_path):
     """Writes a network whose state counts its steps, and whose action is that count."""
 
-    def write(batch: int | str = 1) -> None:
+    def write(batch: int | str = 1, of_state: int | str | None = None) -> None:
+        held = batch if of_state is None else of_state
         nodes = [
             ("Add", ["h_in", "one"], ["h_out"], {}),
             ("ReduceSum", ["h_out", "axis"], ["count"], {"keepdims": 0}),
@@ -151,16 +152,16 @@ def counting(tmp_path):
             "axis": np.array([0]),
             "zero": np.zeros((SIZE, 2), np.float32),
         }
-        inputs = {"obs": (batch, SIZE), "h_in": (1, batch, 2)}
-        outputs = {"actions": (batch, 2), "h_out": (1, batch, 2)}
+        inputs = {"obs": (batch, SIZE), "h_in": (1, held, 2)}
+        outputs = {"actions": (batch, 2), "h_out": (1, held, 2)}
         write_graph(tmp_path / "policy.onnx", nodes, weights, inputs, outputs)
 
     return write
 
 
-@pytest.mark.parametrize("batch", [1, "batch"])
-def test_each_world_keeps_its_own_state_and_begins_anew(described, counting, batch):
-    counting(batch)
+@pytest.mark.parametrize("batches", [(1, 1), ("batch", "batch"), ("batch", 1)])
+def test_each_world_keeps_its_own_state_and_begins_anew(described, counting, batches):
+    counting(*batches)
     policy = load_policy(described())
     env = policy.env(2)
     td = env.reset()

@@ -196,8 +196,9 @@ class GaitClock:
             the clock runs.
 
     Source: ``phase`` of Playground's joysticks (``[cos, sin]`` of two feet half a period apart).
-    In training it moves on after the observation is made: ``late: 1``; in the sim2sim scripts before
-    the next one. Under a command below 0.01 it is pi: ``standing: 3.14159265``. ``unitree_rl_gym`` has sine and cosine of one phase:
+    In training it moves on after the observation is made: ``late: 1``; in the sim2sim scripts
+    before the next one. Under a command below 0.01 it is pi: ``standing: 3.14159265``.
+    ``unitree_rl_gym`` has sine and cosine of one phase:
     ``offsets: [0], functions: [sin, cos]``.
     """
 
