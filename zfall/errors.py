@@ -33,6 +33,7 @@ _OTHER_KIND = re.compile(
     r".*'(int|float|str|bool|NoneType|ListConfig|DictConfig|list|dict)' "
     r"(object is not|is not iterable|object has no attribute|and 'int'|and 'float').*"
 )
+_RESOLVING = "ValueError raised while resolving interpolation: "
 _NO_PLACE = re.compile(r"invalid literal for int\(\) with base 10: '(\w+)'")  # of a list
 _KEY_FIRST = re.compile(r"[a-z_]\w*(\.\w+)+(:| [a-z])")
 _MERGING = re.compile(r"Error merging override (.+?)=(.*)", re.DOTALL)
@@ -60,6 +61,8 @@ def in_one_line(error: BaseException) -> str:
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         reason = _flat(str(error).split("\n")[0])
         if isinstance(error, InterpolationResolutionError | InterpolationToMissingValueError):
+            if reason.startswith(_RESOLVING):  # what it would be made of says what is wrong
+                return reason.removeprefix(_RESOLVING)
             rule = "must refer to a value that is there, got another"
             return f"{error.full_key} {rule}: {reason}."
         return f"{error.full_key} must be given, or of another kind: {reason}."
