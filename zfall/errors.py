@@ -1,7 +1,7 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -103,7 +103,7 @@ def _said(error: BaseException) -> str:
     return text if isinstance(error, SPOKEN) else f"{type(error).__name__}: {text}"
 
 
-def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
+def check_keys(cfg: Mapping[Any, Any] | DictConfig, known: set[str], prefix: str = "") -> None:
     """Refuses keys that nothing reads.
 
     Raises:
@@ -137,7 +137,7 @@ def _innermost(error: BaseException) -> str:
     """Full key and reason of the error at the end of hydra's chain of causes."""
     keys = []
     while isinstance(error, InstantiationException):
-        head, _, key = str(error).rpartition("full_key: ")
+        head, _, key = str(error).rpartition("\nfull_key: ")  # not of a cause that it quotes
         keys += [key] if head else []
         if error.__cause__ is None:
             break

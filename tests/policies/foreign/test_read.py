@@ -283,13 +283,20 @@ def test_torchscript_that_does_not_fit_is_refused(described, tmp_path, module, w
     [
         ({"network": "there.onnx"}, ["network", "there.onnx", "folder of the yaml"]),
         ({"network": "policy.tflite"}, ["network", "there is no"]),
-        ({"joints": ["left_knee_pich"]}, ["left_knee_pich", "did you mean left_knee_pitch"]),
+        (
+            {"joints": ["left_knee_pich"]},
+            ["yaml: joints must", "left_knee_pich", "did you mean left_knee_pitch"],
+        ),
+        (
+            {"observation": [{"term": "joint_position", "scael": 2.0}]},
+            ["yaml: observation.0.scael", "did you mean scale"],
+        ),
         ({"joints": [*JOINTS, JOINTS[0]]}, ["once", JOINTS[0]]),
         (
             {"observation": ["projected_gravty"]},
             ["observation.0", "did you mean projected_gravity"],
         ),
-        ({"observation": [{"term": "command"}]}, ["terms.0.of.value", "must be given"]),
+        ({"observation": [{"term": "command"}]}, ["yaml: observation.0.value", "must be given"]),
         ({"observation": [{"term": "command", "velue": [0.0]}]}, ["velue", "did you mean value"]),
         ({"observation": ["joint_position"]}, ["policy.onnx", "7", "got 2", "JointPosition"]),
         ({"observation": [{"term": "quantity", "name": "tail"}]}, ["tail", "joint_position"]),
@@ -308,6 +315,12 @@ def test_torchscript_that_does_not_fit_is_refused(described, tmp_path, module, w
 def test_what_does_not_fit_is_refused_with_the_repair(described, changed, words):
     text = refused(described(**changed))
     assert all(word in text for word in words), text
+
+
+def test_angles_of_a_reference_may_be_whole_numbers(described):
+    env = load_policy(described(action={"scale": 0.25, "reference": [0, -1]})).env(1)
+    index = [env.base_env.robot.joints.index(name) for name in JOINTS]
+    assert env.reset()["target"][0, index].tolist() == [0.0, -1.0]
 
 
 def test_a_network_of_more_joints_is_refused(described):
