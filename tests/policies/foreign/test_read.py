@@ -357,15 +357,15 @@ def test_weights_and_checkpoints_are_no_torchscript(described, tmp_path):
 def test_a_yaml_that_is_none_or_is_not_there_is_refused(tmp_path):
     path = tmp_path / "policy.yaml"
     assert "there is no file" in refused(str(path))
+    path.write_text("just text")
+    assert str(path) in refused(str(path))
+    path.write_bytes(b"\xff\xfe\x00")
+    assert "cannot read" in refused(str(path))
 
 
 def test_a_network_without_its_yaml_is_refused(described, tmp_path):
     described()
     assert "got the file" in refused(str(tmp_path / "policy.onnx"))
-    path.write_text("just text")
-    assert str(path) in refused(str(path))
-    path.write_bytes(b"\xff\xfe\x00")
-    assert "cannot read" in refused(str(path))
 
 
 def test_a_yaml_has_no_checkpoint_of_another_name(described):
