@@ -83,7 +83,7 @@ def main(cfg: DictConfig) -> None:
     gone = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
     console.print(f"of the env's transforms left out: {', '.join(gone) or 'nothing'}")
     if worlds != cfg.num_envs:
-        console.print(f"num_envs: {worlds}, for worlds are played by {BLOCK}")
+        console.print(f"num_envs: {worlds}, the next multiple of {BLOCK}")
     if actor is not None and recurrent_keys(actor):
         env.append_transform(get_primers_from_module(actor))
     env.set_seed(cfg.seed)

@@ -1,7 +1,7 @@
 """Bad input in one line: what the key is, what the rule, what was given."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -33,6 +33,7 @@ _OTHER_KIND = re.compile(
     r".*'(int|float|str|bool|NoneType|ListConfig|DictConfig|list|dict)' "
     r"(object is not|is not iterable|object has no attribute|and 'int'|and 'float').*"
 )
+_RESOLVING = "ValueError raised while resolving interpolation: "
 _NO_PLACE = re.compile(r"invalid literal for int\(\) with base 10: '(\w+)'")  # of a list
 _KEY_FIRST = re.compile(r"[a-z_]\w*(\.\w+)+(:| [a-z])")
 _MERGING = re.compile(r"Error merging override (.+?)=(.*)", re.DOTALL)
@@ -60,6 +61,8 @@ def in_one_line(error: BaseException) -> str:
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         reason = _flat(str(error).split("\n")[0])
         if isinstance(error, InterpolationResolutionError | InterpolationToMissingValueError):
+            if reason.startswith(_RESOLVING):  # what it would be made of says what is wrong
+                return reason.removeprefix(_RESOLVING)
             rule = "must refer to a value that is there, got another"
             return f"{error.full_key} {rule}: {reason}."
         return f"{error.full_key} must be given, or of another kind: {reason}."
@@ -100,7 +103,7 @@ def _said(error: BaseException) -> str:
     return text if isinstance(error, SPOKEN) else f"{type(error).__name__}: {text}"
 
 
-def check_keys(cfg: DictConfig, known: set[str], prefix: str = "") -> None:
+def check_keys(cfg: Mapping[Any, Any] | DictConfig, known: set[str], prefix: str = "") -> None:
     """Refuses keys that nothing reads.
 
     Raises:
@@ -134,7 +137,7 @@ def _innermost(error: BaseException) -> str:
     """Full key and reason of the error at the end of hydra's chain of causes."""
     keys = []
     while isinstance(error, InstantiationException):
-        head, _, key = str(error).rpartition("full_key: ")
+        head, _, key = str(error).rpartition("\nfull_key: ")  # not of a cause that it quotes
         keys += [key] if head else []
         if error.__cause__ is None:
             break

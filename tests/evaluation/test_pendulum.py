@@ -1,5 +1,7 @@
 """Bounds of the pendulum against a simulated one, and published figures."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -46,6 +48,13 @@ def test_bounds_are_those_of_the_bare_feet():
     assert ahead / factor * speed == pytest.approx(0.34, abs=0.01)
     assert left / factor * speed == pytest.approx(0.69, abs=0.01)
     assert endless_stepping_bound(ZEROTH01, 0.1) == pytest.approx(1.04, abs=0.01)
+
+
+def test_bounds_of_a_robot_of_another_size_are_the_same_in_its_own_units():
+    """Four times as high: a push, and the first step's delay, of twice the time."""
+    giant = SimpleNamespace(com_height=4 * ZEROTH01.com_height, mass=10.0)
+    bound = endless_stepping_bound(ZEROTH01, 0.1, delay=0.06)
+    assert endless_stepping_bound(giant, 0.2, delay=0.12) == pytest.approx(bound)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.06])

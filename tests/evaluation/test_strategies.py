@@ -1,12 +1,15 @@
 """Strategies of made-up and of simulated trials."""
 
+from types import SimpleNamespace
+
 import pandas as pd
 import pytest
 import torch
 from tensordict import TensorDict
 
 from tests.evaluation.moments import ended, moment
-from zfall.evaluation.strategies import AMOUNTS, Strategies, strategy_table
+from zfall.evaluation.strategies import AMOUNTS, Footsteps, Strategies, strategy_table
+from zfall.robots import ZEROTH01
 
 
 def record(num: int = 1, **values: torch.Tensor) -> TensorDict:
@@ -40,6 +43,17 @@ def test_standing_still_is_ankle_alone(make_base):
     assert used(table) == {"ankle"}
     assert table["recovery_time_s"].item() == 0.0
     assert table["steps"].item() == 0
+
+
+@pytest.mark.parametrize(("stride", "steps"), [(0.09, 1), (0.07, 0)])
+def test_a_step_of_a_robot_four_times_as_high_is_four_times_as_long(stride, steps):
+    robot = SimpleNamespace(com_height=4 * ZEROTH01.com_height, mass=1.0)
+    feet = Footsteps(SimpleNamespace(num_envs=1, robot=robot))
+    lifted, moved = torch.tensor([[False, True]]), torch.zeros(1, 2, 3)
+    moved[0, 0, 0] = stride
+    feet.update(record(feet_contact=lifted))
+    feet.update(record(feet_contact=lifted, feet_position=moved))
+    assert feet.update(record(feet_position=moved)).sum() == steps
 
 
 @pytest.mark.parametrize(("stride", "steps"), [(0.03, 1), (0.01, 0)])

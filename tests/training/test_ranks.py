@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ from zfall.training.learner import Learner
 from zfall.training.meeting import ranks_of
 from zfall.training.metrics import batch_metrics
 from zfall.training.ranks import Piece, Ranks
+from zfall.training.shares import PartOfMinibatch
 from zfall.training.transfers import Transfers
 
 BUSY = ["env.transforms.push.interval=[0.0,0.1]", "env.transforms.limit.seconds=0.3"]
@@ -24,7 +26,7 @@ TRAININGS = {
     "mlp": (2, ["experiment=best", "num_envs=16", "rollout_steps=6", "groups=2", "caps=atalante",
                 "symmetry=loss", "imitation=teacher", *BUSY]),
     "gru": (2, ["num_envs=16", "rollout_steps=8", "groups=2", "actor=gru_mog", "critic=gru",
-                "loss=icub", "caps=atalante", "symmetry=augmentation", *BUSY]),
+                "loss=icub", "caps=atalante", "symmetry=augmentation", "burn_in=2", *BUSY]),
     # Groups that no rank has for itself, minibatches in which some have no row, a drawn entropy.
     "uneven": (3, ["num_envs=9", "rollout_steps=4", "groups=2", "actor=mlp_shared_mog",
                    "minibatches=9", "epochs=1", "loss.entropy_coeff=0.01", "caps=atalante",
@@ -113,6 +115,20 @@ def assert_same(alone: dict[str, Any], everyone: list[dict[str, Any]], tolerance
         for key, value in own["weights"].items():
             assert torch.equal(value, everyone[0]["weights"][key])
             torch.testing.assert_close(value, alone["weights"][key], rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize(("rows", "drawn"), [([4, 1], 4), ([], 2)])
+def test_rows_that_an_augmentation_adds_get_numbers_of_their_own(rows, drawn):
+    """Of six rows twice; a rank without one has one taken along, and its image."""
+    own = torch.tensor(rows, dtype=torch.long)
+    share = PartOfMinibatch(SimpleNamespace(), own, own, 6).fitted(drawn)
+    torch.manual_seed(5)
+    whole = torch.randn(12, 3)
+    torch.manual_seed(5)
+    with share.drawing():
+        mine = torch.randn(drawn, 3)
+    places = [4, 1, 10, 7] if rows else [0, 0]
+    assert torch.equal(mine, whole[places])
 
 
 def test_each_of_three_ranks_has_a_third_of_the_worlds_cut_where_groups_end(tmp_path):

@@ -8,11 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from zfall.robots import GRAVITY, Robot
+from zfall.robots.units import factor
 from zfall.simulation.model import compile_model
 
 Array = NDArray[np.float64]
 
-STEP_LENGTH, STEP_TIME, FOOT_RADIUS = 0.2, 0.15, 0.05  # of an endless walk [m, s, m]
+STEP_LENGTH, STEP_TIME, FOOT_RADIUS = 0.2, 0.15, 0.05  # of the default robot's walk [m, s, m]
 ATALANTE, ICUB = 0.26, 0.54  # largest pushes recovered from, over their f: fore-aft; anywhere
 CAPTION = (
     "Pendulum: linear, no arms, pushed at its center of mass for as long. Atalante (fore and aft) "
@@ -78,7 +79,7 @@ def no_step_bound(robot: Robot, angle: ArrayLike, duration: float) -> Array:
 
 
 def endless_stepping_bound(
-    robot: Robot, duration: float, *, delay: float = 0.0, step_length: float = STEP_LENGTH
+    robot: Robot, duration: float, *, delay: float = 0.0, step_length: float | None = None
 ) -> float:
     """Largest dimensionless impulse that steps without end can take up, in any direction.
 
@@ -88,22 +89,24 @@ def endless_stepping_bound(
     ahead of that edge grows, so that less may be at first: ``d`` is ``r + (d - r) e^(-w delay)``.
 
     Args:
-        robot: gives the height of the center of mass.
+        robot: gives the height of the center of mass, and by it time and feet of the walk.
         duration: of the push [s].
         delay: from the push to the beginning of the first step [s].
-        step_length: l [m].
+        step_length: l [m]; ``None``: 0.2 m on the default robot, and in proportion on others.
     """
+    length, time = factor(robot, "length"), factor(robot, "time")
+    step_length = STEP_LENGTH * length if step_length is None else step_length
     omega = (GRAVITY / robot.com_height) ** 0.5
-    decay = np.exp(-omega * STEP_TIME)
+    decay = np.exp(-omega * STEP_TIME * time)
     ahead = step_length * decay / (1.0 - decay)  # of the edge of the foot
-    distance = ahead * np.exp(-omega * delay) + FOOT_RADIUS
+    distance = ahead * np.exp(-omega * delay) + FOOT_RADIUS * length
     return float(distance / robot.com_height) * duration_factor(duration, robot.com_height)
 
 
 def references(robot: Robot, duration: float) -> list[Reference]:
     """Lines to compare a battery with, for pushes of its duration [s]."""
     around = np.linspace(0.0, 2 * np.pi, 145)
-    factor = duration_factor(duration, robot.com_height)
+    longer = duration_factor(duration, robot.com_height)
     sagittal = np.array([0.0, np.pi])
     return [
         Reference("pendulum, no step", around, no_step_bound(robot, around, duration)),
@@ -112,6 +115,6 @@ def references(robot: Robot, duration: float) -> list[Reference]:
             around,
             np.full_like(around, endless_stepping_bound(robot, duration)),
         ),
-        Reference("iCub", around, np.full_like(around, ICUB * factor)),
-        Reference("Atalante", sagittal, np.full_like(sagittal, ATALANTE * factor)),
+        Reference("iCub", around, np.full_like(around, ICUB * longer)),
+        Reference("Atalante", sagittal, np.full_like(sagittal, ATALANTE * longer)),
     ]

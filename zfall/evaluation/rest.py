@@ -50,7 +50,7 @@ class Rest:
         self.time, self.limited, self.steps = torch.zeros(n), torch.zeros(n), torch.zeros(n)
         self.torque, self.speed = torch.zeros(n, len(self.joints)), torch.zeros(n)
         self.pushed = torch.zeros(n, dtype=torch.bool)
-        self._feet = Footsteps(n)
+        self._feet = Footsteps(env)
         self._targets: list[Tensor] = []
 
     def before(self, td: TensorDictBase, now: Moment) -> None:

@@ -13,8 +13,10 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.followers import Ended, Moment
 from zfall.robots import GRAVITY
 from zfall.robots.anatomy import hips_of
+from zfall.robots.units import factor
 from zfall.rotations import tilt
 
+# Of the default robot, and in proportion of others:
 STRIDE = 0.02  # a foot that comes down so far from where it left has stepped [m]
 CALM = 0.1  # speed of the center of mass below which the robot has come to rest [m/s]
 FOOT_TILT = 0.15  # of a sole that stays on the floor [rad]
@@ -33,13 +35,14 @@ USUAL = 0.95  # quantile of the control trials: what more than so many do with n
 
 
 class Footsteps:
-    """Sees feet come down at least 2 cm from where they had left the floor.
+    """Sees feet come down at least 2 cm, of the default robot, from where they had left the floor.
 
     Args:
-        worlds: number N of them.
+        env: the base env.
     """
 
-    def __init__(self, worlds: int):
+    def __init__(self, env: HumanoidEnv):
+        worlds, self.stride = env.num_envs, STRIDE * factor(env.robot, "length")
         self._contact = torch.ones(worlds, 2, dtype=torch.bool)  # in the last step
         self._left: Tensor | None = None  # where they stood last
 
@@ -47,7 +50,7 @@ class Footsteps:
         """Takes in a control step; returns which feet have just stepped ``(N, 2)`` bool."""
         contact, feet = td["feet_contact"], td["feet_position"][..., :2]
         stood = feet if self._left is None else self._left
-        landed = contact & ~self._contact & ((feet - stood).norm(dim=-1) > STRIDE)
+        landed = contact & ~self._contact & ((feet - stood).norm(dim=-1) > self.stride)
         self._contact = contact
         self._left = torch.where(contact[..., None], feet, stood)
         return landed
@@ -59,7 +62,7 @@ class Strategies:
     ``steps``: times that a foot came down at least 2 cm from where it had left the floor.
     ``displacement`` [m]: of the center of mass, level, since the push. ``recovery_time`` [s]: from
     the push until the center of mass moves below 0.1 m/s for good; NaN if the robot fell or still
-    moved at the end.
+    moved at the end. Both bounds are in proportion on other robots.
 
     Amounts: ``flight_s`` [s]: control steps at whose end no foot touches the floor. Largest
     values: ``foot_tilt_rad``, the lean of a sole on the floor; ``hip_rad``, how far pitch or roll
@@ -91,7 +94,8 @@ class Strategies:
         self.flights = torch.zeros(n, dtype=torch.long)  # control steps
         self.largest = {name: torch.zeros(n) for name in ("foot_tilt", "hip", "momentum")}
         self._com, self._hip = torch.zeros(n, 2), torch.zeros(n, len(self.hips))  # at the push
-        self._feet = Footsteps(n)
+        self._feet = Footsteps(env)
+        self.calm = CALM * factor(robot, "speed")
 
     def before(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step before the push, the last of which is what it disturbs."""
@@ -108,7 +112,7 @@ class Strategies:
         self.flights += counted & ~contact.any(-1)
         away = (com - self._com).norm(dim=-1)
         self.displacement = torch.where(counted, away, self.displacement)
-        moving = td["com_velocity"].norm(dim=-1) > CALM
+        moving = td["com_velocity"].norm(dim=-1) > self.calm
         self.last_motion = torch.where(moving & counted, since_push, self.last_motion)
         self.still = torch.where(counted, ~moving, self.still)
         now_used = {

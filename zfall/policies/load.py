@@ -111,6 +111,11 @@ def checkpoint_of(
     if path.is_file():
         _check_named(name, names, run)
         return path
+    if own.is_file():
+        raise ValueError(
+            f"{key} must be a run folder, a policy that ships or the yaml of one from elsewhere, "
+            f"got the file {run}; docs/guide/policies-from-elsewhere.md has such a yaml."
+        )
     if not Path(run).is_dir():
         ship = sorted(policy.stem for policy in POLICIES.glob("*.pt"))
         what = "file" if own.suffix in READERS else "folder"

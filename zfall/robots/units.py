@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+from zfall.errors import named
 from zfall.robots.robot import Robot
 from zfall.robots.zeroth01 import ZEROTH01
 
+PLACE = "env.base_env.robot"
 _DIGITS = 4  # of what yaml then has
 
 
@@ -47,5 +49,8 @@ def sized(value: float, unit: str, robot: Mapping[str, Any]) -> float:
 def _built(config: str) -> Robot:
     from hydra.utils import instantiate
 
-    robot: Robot = instantiate(json.loads(config), _convert_="all")
+    with named(PLACE):
+        robot = instantiate(json.loads(config), _convert_="all")
+        if not isinstance(robot, Robot):
+            raise ValueError("_target_ must be zfall.robots.Robot, or one that gives such.")
     return robot

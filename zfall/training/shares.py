@@ -22,12 +22,15 @@ class PartOfMinibatch:
         rows: of the rank's data ``(n,)``.
         places: where in the minibatch they are ``(n,)``, in this order.
         total: rows of the minibatch.
+        alongs: rows that are taken along if there is none.
     """
 
-    def __init__(self, ranks: "SeveralRanks", rows: Tensor, places: Tensor, total: int):
+    def __init__(
+        self, ranks: "SeveralRanks", rows: Tensor, places: Tensor, total: int, alongs: int = 1
+    ):
         self.real = len(rows) > 0
-        self.rows = rows if self.real else rows.new_zeros(1)
-        self.places = places if self.real else places.new_zeros(1)
+        self.rows = rows if self.real else rows.new_zeros(alongs)
+        self.places = places if self.real else places.new_zeros(alongs)
         self.total_rows, self._ranks = total, ranks
         self._totals: dict[int, Tensor] = {}  # what a loss counts, over all ranks
 
@@ -43,7 +46,7 @@ class PartOfMinibatch:
         places = self.places if self.real else self.places[:0]
         shifted = [places + self.total_rows * number for number in range(times)]
         parts = own.repeat(times), torch.cat(shifted), self.total_rows * times
-        return PartOfMinibatch(self._ranks, *parts)
+        return PartOfMinibatch(self._ranks, *parts, alongs=times)
 
     def leading(self, share: float) -> "PartOfMinibatch":
         total = max(1, round(share * self.total_rows))

@@ -139,7 +139,8 @@ def test_other_weights_are_another_policy(described, tmp_path):
 def counting(tmp_path):
     """Writes a network whose state counts its steps, and whose action is that count."""
 
-    def write(batch: int | str = 1) -> None:
+    def write(batch: int | str = 1, of_state: int | str | None = None) -> None:
+        held = batch if of_state is None else of_state
         nodes = [
             ("Add", ["h_in", "one"], ["h_out"], {}),
             ("ReduceSum", ["h_out", "axis"], ["count"], {"keepdims": 0}),
@@ -151,16 +152,16 @@ def counting(tmp_path):
             "axis": np.array([0]),
             "zero": np.zeros((SIZE, 2), np.float32),
         }
-        inputs = {"obs": (batch, SIZE), "h_in": (1, batch, 2)}
-        outputs = {"actions": (batch, 2), "h_out": (1, batch, 2)}
+        inputs = {"obs": (batch, SIZE), "h_in": (1, held, 2)}
+        outputs = {"actions": (batch, 2), "h_out": (1, held, 2)}
         write_graph(tmp_path / "policy.onnx", nodes, weights, inputs, outputs)
 
     return write
 
 
-@pytest.mark.parametrize("batch", [1, "batch"])
-def test_each_world_keeps_its_own_state_and_begins_anew(described, counting, batch):
-    counting(batch)
+@pytest.mark.parametrize("batches", [(1, 1), ("batch", "batch"), ("batch", 1)])
+def test_each_world_keeps_its_own_state_and_begins_anew(described, counting, batches):
+    counting(*batches)
     policy = load_policy(described())
     env = policy.env(2)
     td = env.reset()
@@ -282,13 +283,20 @@ def test_torchscript_that_does_not_fit_is_refused(described, tmp_path, module, w
     [
         ({"network": "there.onnx"}, ["network", "there.onnx", "folder of the yaml"]),
         ({"network": "policy.tflite"}, ["network", "there is no"]),
-        ({"joints": ["left_knee_pich"]}, ["left_knee_pich", "did you mean left_knee_pitch"]),
+        (
+            {"joints": ["left_knee_pich"]},
+            ["yaml: joints must", "left_knee_pich", "did you mean left_knee_pitch"],
+        ),
+        (
+            {"observation": [{"term": "joint_position", "scael": 2.0}]},
+            ["yaml: observation.0.scael", "did you mean scale"],
+        ),
         ({"joints": [*JOINTS, JOINTS[0]]}, ["once", JOINTS[0]]),
         (
             {"observation": ["projected_gravty"]},
             ["observation.0", "did you mean projected_gravity"],
         ),
-        ({"observation": [{"term": "command"}]}, ["terms.0.of.value", "must be given"]),
+        ({"observation": [{"term": "command"}]}, ["yaml: observation.0.value", "must be given"]),
         ({"observation": [{"term": "command", "velue": [0.0]}]}, ["velue", "did you mean value"]),
         ({"observation": ["joint_position"]}, ["policy.onnx", "7", "got 2", "JointPosition"]),
         ({"observation": [{"term": "quantity", "name": "tail"}]}, ["tail", "joint_position"]),
@@ -307,6 +315,12 @@ def test_torchscript_that_does_not_fit_is_refused(described, tmp_path, module, w
 def test_what_does_not_fit_is_refused_with_the_repair(described, changed, words):
     text = refused(described(**changed))
     assert all(word in text for word in words), text
+
+
+def test_angles_of_a_reference_may_be_whole_numbers(described):
+    env = load_policy(described(action={"scale": 0.25, "reference": [0, -1]})).env(1)
+    index = [env.base_env.robot.joints.index(name) for name in JOINTS]
+    assert env.reset()["target"][0, index].tolist() == [0.0, -1.0]
 
 
 def test_a_network_of_more_joints_is_refused(described):
@@ -347,6 +361,11 @@ def test_a_yaml_that_is_none_or_is_not_there_is_refused(tmp_path):
     assert str(path) in refused(str(path))
     path.write_bytes(b"\xff\xfe\x00")
     assert "cannot read" in refused(str(path))
+
+
+def test_a_network_without_its_yaml_is_refused(described, tmp_path):
+    described()
+    assert "got the file" in refused(str(tmp_path / "policy.onnx"))
 
 
 def test_a_yaml_has_no_checkpoint_of_another_name(described):

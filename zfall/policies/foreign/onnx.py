@@ -53,8 +53,9 @@ class OnnxNetwork:
         self.observation = _the_one(self.name, "input", "observation", rest, table)
         rest = [name for name in self.outputs if name not in self.after.values()]
         self.action = _the_one(self.name, "output", "action", rest, table)
-        self.rows = self.inputs[self.observation].shape[:1] == [1]
         self.axes = {name: self._batch_axis(name) for name in self.after}
+        axes = {self.observation: 0, **self.axes}
+        self.rows = any(self.inputs[name].shape[axis] == 1 for name, axis in axes.items())
         self.states: Mapping[str, tuple[int, ...]] = {n: self._state_shape(n) for n in self.after}
         self.digest = _digest(path)
 

@@ -1,6 +1,8 @@
 """From the yaml of a policy of another framework to its actor and its task."""
 
+import inspect
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -15,7 +17,7 @@ from zfall.complaints import check_table
 from zfall.configs import compose_config, options_of, plain_containers
 from zfall.envs.tables import changed, declaring
 from zfall.envs.transforms.foreign.terms import TERMS
-from zfall.errors import in_one_line
+from zfall.errors import check_keys, in_one_line
 from zfall.policies.foreign.actor import ForeignActor
 from zfall.policies.foreign.network import NetworkTable, read_network
 from zfall.trust import config_of_file
@@ -23,6 +25,11 @@ from zfall.values import Bounds, Count, Name, Names, NotNegative, Positive
 
 _TRANSFORMS = "zfall.envs.transforms"
 _OF_ENTRY = ("scale", "clip", "history")  # the rest of a term's line are values of its class
+# Where we put what the yaml calls otherwise.
+_OURS = (
+    (re.compile(r"^transforms\.observation\.terms\.(\d+)(\.of)?"), r"observation.\1"),
+    (re.compile(r"^transforms\.\w+(: |\.)"), ""),
+)
 _KEPT = ("terminations", "limit")  # of the task that the policy is put into
 
 
@@ -100,7 +107,10 @@ def _in_one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, HydraException) as error:
-        raise ValueError(f"{path}: {in_one_line(error)}") from error
+        reason = in_one_line(error)
+        for ours, theirs in _OURS:
+            reason = ours.sub(theirs, reason)
+        raise ValueError(f"{path}: {reason}") from error
 
 
 def _env(table: Mapping[str, Any]) -> DictConfig:
@@ -173,6 +183,7 @@ def _entry(term: str | Mapping[str, Any], number: int) -> dict[str, Any]:
             hint = f"; did you mean {near[0]}?" if near else "."
             raise ValueError(f"{place}.term must be one of {', '.join(TERMS)}, got {name}{hint}")
         made = TERMS[name]
+        check_keys(line, {*inspect.signature(made).parameters, *_OF_ENTRY}, f"{place}.")
         line["_target_"] = f"{made.__module__}.{made.__qualname__}"
     entry = {key: line.pop(key) for key in _OF_ENTRY if key in line}
     return {"of": line, **entry}

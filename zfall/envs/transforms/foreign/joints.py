@@ -46,5 +46,7 @@ def reference_pose(env: HumanoidEnv, reference: Mapping[str, float]) -> Tensor:
     """
     pose = env.stand_position.clone()
     if reference:
-        pose[places(env.robot, list(reference), "reference")] = torch.tensor([*reference.values()])
+        pose[places(env.robot, list(reference), "reference")] = torch.tensor(
+            [*reference.values()], dtype=pose.dtype
+        )
     return pose

@@ -28,13 +28,17 @@ class BaseLinearVelocity:
 
     Args:
         frame: whose axes: those of the ``base`` or of the ``world``.
-        point: of which point of the base link: its ``origin``, or its ``center_of_mass``,
-            ``v + R (w x c)``.
+        point: of which point of the base link: its ``origin``, its ``center_of_mass``, or one at
+            ``[x, y, z]`` in its axes [m]. At c it is ``v + R (w x c)``.
+
+    Raises:
+        ValueError: on a point of another length.
 
     Source: ``base_lin_vel``. In mjlab it is that of the link's origin
     (``root_link_lin_vel_b``), in Isaac Lab that of its center of mass (``root_lin_vel_b`` is
-    ``root_com_lin_vel_b``). Playground's ``local_linvel`` is a velocimeter at the site of the IMU.
-    ksim's ``BaseLinearVelocityObservation`` is in the world's axes unless ``in_robot_frame``.
+    ``root_com_lin_vel_b``). Playground's ``local_linvel`` is a velocimeter at the site of the
+    IMU, of the G1 ``[0.04525, 0.0, -0.08339]``. ksim's ``BaseLinearVelocityObservation`` is in the
+    world's axes unless ``in_robot_frame``.
     """
 
     reads = ("base_linear_velocity", "base_angular_velocity", "base_orientation")
@@ -43,16 +47,19 @@ class BaseLinearVelocity:
         self,
         *,
         frame: Literal["base", "world"] = "base",
-        point: Literal["origin", "center_of_mass"] = "origin",
+        point: Literal["origin", "center_of_mass"] | Numbers = "origin",
     ):
         self.frame, self.point = frame, point
+        if not isinstance(point, str) and len(point) != 3:
+            raise ValueError(f"point must be [x, y, z], got {len(point)} numbers.")
 
     def __call__(self, seen: Seen) -> Tensor:
         turn = seen["base_orientation"]
         velocity = seen["base_linear_velocity"]
-        if self.point == "center_of_mass":
+        if self.point != "origin":
             spin = seen["base_angular_velocity"]
-            velocity = velocity + rotate(turn, torch.linalg.cross(spin, seen.base_com[None]))
+            at = seen.base_com if self.point == "center_of_mass" else torch.tensor(list(self.point))
+            velocity = velocity + rotate(turn, torch.linalg.cross(spin, at[None].to(spin)))
         return velocity if self.frame == "world" else rotate_inverse(turn, velocity)
 
 
@@ -162,8 +169,8 @@ class PreviousAction:
         steps: how many control steps ago it was decided.
 
     Source: ``last_action`` of Isaac Lab and mjlab is the action of the step just taken: 1.
-    Playground makes its observation before it stores the action as ``last_act``, so that the
-    policy sees the one before that: 2.
+    Playground's training makes its observation before it stores the action as ``last_act``, so that
+    the policy sees the one before that: 2. Its sim2sim scripts, which play its policies, show 1.
     """
 
     reads = ()
@@ -189,8 +196,9 @@ class GaitClock:
             the clock runs.
 
     Source: ``phase`` of Playground's joysticks (``[cos, sin]`` of two feet half a period apart).
-    It moves on after the observation is made, so ``late: 1``, and under a command below 0.01 it is
-    pi: ``standing: 3.14159265``. ``unitree_rl_gym`` has sine and cosine of one phase:
+    In training it moves on after the observation is made: ``late: 1``; in the sim2sim scripts
+    before the next one. Under a command below 0.01 it is pi: ``standing: 3.14159265``.
+    ``unitree_rl_gym`` has sine and cosine of one phase:
     ``offsets: [0], functions: [sin, cos]``.
     """
 
