@@ -363,6 +363,11 @@ def test_a_yaml_that_is_none_or_is_not_there_is_refused(tmp_path):
     assert "cannot read" in refused(str(path))
 
 
+def test_a_network_that_gives_no_numbers_is_refused(described, tmp_path):
+    write_linear(tmp_path / "policy.onnx", np.full((SIZE, 2), np.nan, np.float32))
+    assert "must give finite actions, got nan" in refused(described())
+
+
 def test_a_network_without_its_yaml_is_refused(described, tmp_path):
     described()
     assert "got the file" in refused(str(tmp_path / "policy.onnx"))

@@ -92,6 +92,11 @@ class OnnxNetwork:
                 f"joints must be as many as the numbers of {self.action} of {self.name}, "
                 f"{_shape(found.shape[1:])}, got {action}."
             )
+        if not np.isfinite(found).all():
+            raise ValueError(
+                f"{self.name} must give finite {self.action}, got {found[~np.isfinite(found)][0]} "
+                f"of an observation of zeros."
+            )
         for name, value, shape in zip(self.states, after, self.states.values(), strict=True):
             if value.shape[1:] != shape:
                 raise ValueError(
