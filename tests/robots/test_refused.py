@@ -98,6 +98,12 @@ def test_what_is_declared_rightly_is_taken(mjcf):
     assert robot.posture("kneel") == (0.0, 0.4, 0.0, 0.0, 0.0, 0.0)
 
 
+def test_a_stand_in_degrees_is_refused(tmp_path):
+    text = refused(mjcf=str(toy_mjcf(tmp_path)), stand={"left_knee": 23.0})
+    assert "stand.left_knee must lie in its range" in text
+    assert "got 23" in text
+
+
 def test_regions_may_be_the_feet_alone_if_nothing_else_meets_the_floor(tmp_path):
     path = toy_mjcf(tmp_path)
     bare = path.read_text().replace('mass="1.3"', 'mass="1.3" contype="0" conaffinity="0"')

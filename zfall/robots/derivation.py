@@ -22,6 +22,7 @@ from zfall.robots.refusals import (
     check_gravity,
     check_joints,
     check_regions,
+    check_stand,
     check_stiffness,
 )
 from zfall.robots.symmetry import find_symmetry
@@ -182,6 +183,7 @@ def _reference(
     stand = robot.stand or {}
     if unknown := [joint for joint in stand if joint not in angles]:
         raise ValueError(f"stand must name joints, there is no {unknown[0]}")
+    check_stand(model, stand)
     if robot.stand is not None:
         angles |= dict.fromkeys(joints, 0.0)
     angles |= {name: float(angle) for name, angle in stand.items()}

@@ -60,6 +60,17 @@ def check_stiffness(stiffness: "Stiffness", joints: Sequence[str]) -> None:
             raise ValueError(f"{key} must be positive, got {value}: left out, it is derived")
 
 
+def check_stand(model: mujoco.MjModel, stand: Mapping[str, float]) -> None:
+    """Raises unless its angles lie within the ranges of their joints."""
+    for joint, angle in stand.items():
+        low, high = model.jnt_range[model.joint(joint).id]
+        if model.jnt_limited[model.joint(joint).id] and not low <= angle <= high:
+            raise ValueError(
+                f"stand.{joint} must lie in its range of {low:g} to {high:g} rad, got {angle:g}: "
+                "give it in radians"
+            )
+
+
 def check_postures(postures: Mapping[str, Iterable[str]], joints: Sequence[str]) -> None:
     """Raises unless each names joints of the robot."""
     for name, angles in postures.items():
