@@ -7,7 +7,7 @@ def main() -> None:
     """Prints their table in Markdown."""
     from rich.console import Console
 
-    from recipes.systems.published import published_table
+    from recipes.systems._published import published_table
     from zfall.evaluation.writers import markdown
     from zfall.robots import ZEROTH01
 

@@ -9,7 +9,7 @@ def main() -> None:
     """Prints both tables in Markdown."""
     from rich.console import Console
 
-    from recipes.systems.published import jumps_table, robots_table
+    from recipes.systems._published import jumps_table, robots_table
     from zfall.configs import compose_config
     from zfall.envs.tables import robot_of
     from zfall.evaluation.writers import markdown

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from recipes.systems.published import PUSHES, Jump, jumps_table, published_table, robots_table
+from recipes.systems._published import PUSHES, Jump, jumps_table, published_table, robots_table
 from zfall.evaluation.pendulum import stand_support
 from zfall.robots import ZEROTH01
 

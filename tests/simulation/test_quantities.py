@@ -28,7 +28,7 @@ def test_the_env_writes_every_quantity_in_the_shape_and_type_of_the_table(make_b
 
 def test_shapes_follow_the_robot():
     one_armed = ZEROTH01.joints[:-4]
-    robot = replace(ZEROTH01, joints=one_armed, regions=ZEROTH01.regions[:5])
+    robot = replace(ZEROTH01, joints=one_armed, regions=ZEROTH01.regions[:5], postures={})
     spec = observation_spec(robot, 7, BALL)
     assert spec["joint_torque"].shape == (7, 16)
     assert spec["contact_force_peak"].shape == (7, 5)

@@ -297,10 +297,10 @@ def test_divergence_counts_what_was_drawn(compose_config, monkeypatch):
     sizes = ("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=2")
     learner = Learner(compose_config(*sizes))
     known: list[float] = []
-    forward = learner.loss.forward
+    forward, first = learner.loss.forward, iter([True, False])
 
     def marked(part):
-        return part.set("mirrored", torch.full(part.shape, not known))
+        return part.set("mirrored", torch.full(part.shape, next(first)))
 
     def recording(part):
         out = forward(part)
