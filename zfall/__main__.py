@@ -9,7 +9,7 @@ from pathlib import Path
 
 from zfall.configs import config_folder
 
-HELPERS = ("__init__", "_published", "shell")  # of the recipes, and none themselves
+HELPERS = ("__init__", "shell")  # of the recipes, and none themselves
 
 
 def main() -> None:

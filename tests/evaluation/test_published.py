@@ -5,14 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from recipes.systems._published import PUSHES, Jump, jumps_table, published_table, robots_table
+from recipes.systems.pushes import PUSHES, published
 from zfall.evaluation.pendulum import stand_support
+from zfall.evaluation.published import Jump, jumps_table, published_table, robots_table
 from zfall.robots import ZEROTH01
 
 
 @pytest.fixture(scope="module")
 def table():
-    return published_table(ZEROTH01).set_index(["system", "push"])
+    return published_table(ZEROTH01, published()).set_index(["system", "push"])
 
 
 def test_icubs_training_push_is_half_a_unit_and_lasts_two_thirds_as_long_here(table):

@@ -55,47 +55,7 @@ class PublishedPush:
     profile: str = "rectangular"
 
 
-ICUB = Body(mass=33.0, com_height=0.53)  # the mass is published, the height our estimate
-ATALANTE = Body(mass=135.0, com_height=0.95)
-ZEROTH = Body(mass=3.349, com_height=0.220)  # the same robot
-
-PUSHES = (
-    *(
-        PublishedPush(system="iCub", what=what, body=ICUB, force=force, duration=0.2)
-        for force, what in (
-            (200.0, "training (IV-D)"),
-            (300.0, "recovered in all directions (VI-C)"),
-            (400.0, "recovered in some directions (VI-C)"),
-        )
-    ),
-    PublishedPush(
-        system="Atalante",
-        what="training (IV-A.4)",
-        body=ATALANTE,
-        force=800.0,
-        duration=0.4,
-        profile="gaussian",
-    ),
-    PublishedPush(
-        system="Atalante",
-        what="recovered fore and aft, 190 N s (V-C)",
-        body=ATALANTE,
-        force=475.0,
-        duration=0.4,
-    ),
-    *(
-        PublishedPush(system="Zeroth-01", what=what, body=ZEROTH, force=force, duration=0.1)
-        for force, what in (
-            (20.0, "stage easy (3)"),
-            (40.0, "stage medium (3)"),
-            (60.0, "stage hard (3)"),
-            (100.0, "stage kneel trigger (3)"),
-        )
-    ),
-)
-
-
-def published_table(robot: Robot, pushes: Sequence[PublishedPush] = PUSHES) -> pd.DataFrame:
+def published_table(robot: Robot, pushes: Sequence[PublishedPush]) -> pd.DataFrame:
     """Published pushes, and what they are on another robot.
 
     ``impulse``: dimensionless, ``I = J / (m sqrt(g h0))``. ``sudden``: that of a sudden push that
@@ -149,13 +109,6 @@ class Jump:
     interval: tuple[float, float]
 
 
-JUMPS = (  # of their public configurations; mjlab's is its default, 0.5 m/s forward and sideways
-    Jump(system="MuJoCo Playground", robot="g1", speed=2.0, interval=(5.0, 10.0)),
-    Jump(system="MuJoCo Playground", robot="t1", speed=1.0, interval=(5.0, 10.0)),
-    Jump(system="mjlab", robot="g1", speed=0.5 * 2**0.5, interval=(1.0, 3.0)),
-)
-
-
 def robots_table(robots: Sequence[Robot]) -> pd.DataFrame:
     """Robots, what one unit of push is on them, and what a pendulum on their feet withstands.
 
@@ -186,7 +139,7 @@ def robots_table(robots: Sequence[Robot]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def jumps_table(robots: Sequence[Robot], jumps: Sequence[Jump] = JUMPS) -> pd.DataFrame:
+def jumps_table(robots: Sequence[Robot], jumps: Sequence[Jump]) -> pd.DataFrame:
     """Jumps of velocity as dimensionless pushes: ``I = v / sqrt(g h0)``, whatever the mass.
 
     ``of_no_step_sideways``: the size over the largest sudden push to the side that asks a pendulum
