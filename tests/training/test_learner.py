@@ -23,6 +23,7 @@ from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.metrics import batch_metrics
 from zfall.training.ranks import WholeMinibatch
+from zfall.training.task_facts import TaskFacts
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
             "mlp_shared_mog mlp", "gru_shared_mog mlp"]  # fmt: skip
@@ -482,6 +483,25 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
         error[name] = loss(measure.collect())["loss_symmetry"].item()
     assert error["loss"] < 0.3 * error["none"]
     assert error["augmentation"] < error["none"]
+
+
+def test_symmetric_networks_stay_so_while_they_learn(compose_config):
+    learner = Learner(
+        compose_config("num_envs=16", "actor.symmetric=true", "critic.symmetric=true")
+    )
+    for _ in range(2):
+        batch = learner.collect()
+        learner.learn(batch)
+    task = TaskFacts(learner.env, learner.cfg)
+    image = batch.select("observation", "observation_critic")
+    for key in image.keys():
+        image[key] = task.mirror(key)(image[key])
+    for policy in (learner.actor, learner.policy):
+        mean = policy.get_dist(batch).mean
+        torch.testing.assert_close(policy.get_dist(image).mean, task.mirror("action")(mean))
+        assert mean.std() > 1e-3
+    value = learner.critic(batch.select("observation_critic"))["state_value"]
+    torch.testing.assert_close(learner.critic(image)["state_value"], value)
 
 
 @pytest.mark.parametrize(("share", "rows"), [(0.25, 16), (1.0, 64), (0.001, 1)])

@@ -14,6 +14,7 @@ from torchrl.modules import ProbabilisticActor
 from zfall.modules.gru import StackedGRU
 from zfall.modules.heads import GaussianHead, Head, HeadValues, make_head
 from zfall.modules.normalization import ObservationNormalizer
+from zfall.modules.symmetric import SymmetricPolicy
 from zfall.values import Count, Rule, Whole, one_of
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
@@ -152,6 +153,7 @@ def mlp_actor(
     components: Whole = 0,
     initialization: Initialization = "orthogonal",
     normalize: bool = True,
+    symmetric: bool = False,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
     **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
@@ -163,6 +165,7 @@ def mlp_actor(
         activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
         initialization: of these layers, see ``mlp_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
+        symmetric: whether it acts in the mirror as the robot does there, see ``SymmetricPolicy``.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         components: Gaussians per joint, 0 for a plain Gaussian.
         head: ``shared_components``:
@@ -174,13 +177,17 @@ def mlp_actor(
 
     Raises:
         ValueError: on another statistic, activation or initialization, no layer or cell, or a
-            mixture of fixed deviation.
+            mixture that is symmetric or of fixed deviation.
     """
     _check_widths(num_cells)
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(num_cells[-1], joints, components=components, **head)
     trunk = mlp_trunk(size, num_cells, activation, initialization)
-    net = nn.Sequential(*normalizer(size, normalize), trunk, out)
+    net: nn.Module = nn.Sequential(*normalizer(size, normalize), trunk, out)
+    if symmetric:
+        if components:
+            raise ValueError(f"symmetric must be false for a mixture, got components={components}.")
+        net = SymmetricPolicy(net, size, joints)
     module = TensorDictModule(net, in_keys=["observation"], out_keys=list(out.keys))
     return _actor(module, out, statistic)
 
