@@ -458,6 +458,7 @@ def test_advantages_are_normalised_over_what_is_asked(compose_config, over):
     assert normal == (over == "batch")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("actor", ["mlp_gaussian", pytest.param("gru_mog", marks=pytest.mark.slow)])
 def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
     """The error of mirror images after some updates, with and without either way.
