@@ -9,7 +9,9 @@ from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import (
+from zfall.modules.normalization import ObservationNormalizer
+from zfall.modules.symmetric import SymmetricValue
+from zfall.modules.trunks import (
     Activation,
     Initialization,
     gru_trunk,
@@ -17,8 +19,6 @@ from zfall.modules.actors import (
     mlp_trunk,
     normalizer,
 )
-from zfall.modules.normalization import ObservationNormalizer
-from zfall.modules.symmetric import SymmetricValue
 from zfall.values import Count, Positive
 
 

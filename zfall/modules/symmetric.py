@@ -4,11 +4,14 @@ A network f becomes ``(f(o) + M f(M o)) / 2`` with the reflection M: the same fu
 as the image of the function. Each such function is its own mean, so that none is lost, and each
 sample teaches both sides.
 
+A network with a memory has one of here and one of the mirror, which change places there.
+
 Source: van der Pol et al., "MDP homomorphic networks: group symmetries in reinforcement learning",
 NeurIPS 2020; as a mean over the group: Puny et al., "Frame averaging for invariant and equivariant
 network design", ICLR 2022.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -45,25 +48,70 @@ class TaskMirror(Mirror):
             getattr(self, name).copy_(value.nan_to_num())
 
 
-class SymmetricPolicy(nn.Module):
-    """A Gaussian whose mean is mirrored where the observation is, and its deviations exchanged.
+class SymmetricHead(nn.Module):
+    """Parameters of a distribution over actions from features of here and of the mirror.
+
+    Means are mirrored; deviations and weights of a mixture's Gaussians change sides with them.
 
     Args:
-        net: ``(*B, D)`` -> ``loc`` and ``scale`` ``(*B, J)``.
+        net: features ``(*B, F)`` -> parameters ``(*B, J)`` or, of a mixture, ``(*B, J, K)``.
+        keys: their names, ``loc`` that of the means.
+        joints: number of joints J.
+    """
+
+    def __init__(self, net: nn.Module, keys: Sequence[str], joints: int):
+        super().__init__()
+        self.net, self.keys, self.done = net, keys, TaskMirror("action", joints)
+        self.axis = -2 if "logits" in keys else -1  # of the joints
+
+    def forward(self, here: Tensor, there: Tensor) -> tuple[Tensor, ...]:
+        """The parameters, from features ``(*B, F)``."""
+        out = []
+        for key, value in zip(self.keys, self.net(torch.stack([here, there])), strict=True):
+            if key == "loc":
+                image = self.done(value[1].movedim(self.axis, -1)).movedim(-1, self.axis)
+            else:
+                image = value[1].index_select(self.axis, self.done.index)
+            out.append((value[0] + image) / 2.0)
+        return tuple(out)
+
+
+class SymmetricPolicy(nn.Module):
+    """Parameters of a distribution over actions that are mirrored where the observation is.
+
+    Args:
+        net: ``(*B, D)`` -> parameters, as of ``SymmetricHead``.
+        keys: their names.
         size: of the observation D.
         joints: number of joints J.
     """
 
-    def __init__(self, net: nn.Module, size: int, joints: int):
+    def __init__(self, net: nn.Module, keys: Sequence[str], size: int, joints: int):
         super().__init__()
-        self.net = net
-        self.seen, self.done = TaskMirror("observation", size), TaskMirror("action", joints)
+        self.seen = TaskMirror("observation", size)
+        self.head = SymmetricHead(net, keys, joints)
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, ...]:
+        """The parameters."""
+        return self.head(observation, self.seen(observation))
+
+
+class SymmetricEncoder(nn.Module):
+    """What a network makes of an observation and of its mirror image.
+
+    Args:
+        net: ``(*B, D)`` -> ``(*B, F)``.
+        size: of the observation D.
+    """
+
+    def __init__(self, net: nn.Module, size: int):
+        super().__init__()
+        self.net, self.seen = net, TaskMirror("observation", size)
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """``loc`` and ``scale`` ``(*B, J)``."""
-        loc, scale = self.net(torch.stack([observation, self.seen(observation)]))
-        exchanged = scale[1].index_select(-1, self.done.index)
-        return (loc[0] + self.done(loc[1])) / 2.0, (scale[0] + exchanged) / 2.0
+        """Features of here and of the mirror ``(*B, F)``."""
+        here, there = self.net(torch.stack([observation, self.seen(observation)]))
+        return here, there
 
 
 class SymmetricValue(nn.Module):
