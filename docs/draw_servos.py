@@ -1,4 +1,4 @@
-"""Draws docs/pictures/servos.png and servo_responses.png: servos by their sheets, and tests of them.
+"""Draws docs/pictures/servos.png and servo_responses.png: servos by sheets, and tests of them.
 
 ``.venv/bin/python docs/draw_servos.py`` in the folder of the clone.
 """

@@ -1,11 +1,11 @@
 """Maps over the size and duration of pushes."""
 
-import textwrap
 from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
 
+from zfall.evaluation.plots.headings import draw_heading
 from zfall.evaluation.statistics import withstood_table
 
 
@@ -44,8 +44,7 @@ def withstood_map(trials: pd.DataFrame, path: Path, *, title: str) -> None:
     bar = figure.colorbar(image, ax=panels)
     bar.set_label("pushes in a row", fontsize=8)
     bar.ax.tick_params(labelsize=7)
-    width = 30 * len(bodies) + 10
-    figure.suptitle(textwrap.fill(title, width, break_on_hyphens=False), fontsize=9)
+    draw_heading(figure, title)
     figure.savefig(path, dpi=300)
 
 

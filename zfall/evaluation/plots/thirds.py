@@ -1,6 +1,5 @@
 """Success by thirds of what was drawn."""
 
-import textwrap
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 
 from zfall.evaluation.plots.colors import BLUE, GREY, VERMILION
+from zfall.evaluation.plots.headings import draw_heading
 
 PARTS = {"low": ("v", BLUE), "middle": ("o", GREY), "high": ("^", VERMILION)}
 CHANCE, ROOM = 0.05, 5.0  # a p; on either side of all marks [%]
@@ -56,7 +56,7 @@ def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
     low, high = np.nanmin(shares), np.nanmax(shares)
     axes.set_xlim(max(-1.0, low - ROOM), min(101.0, high + ROOM))
     axes.grid(alpha=0.3, axis="x")
-    figure.suptitle(textwrap.fill(title, 80, break_on_hyphens=False), fontsize=9)
+    draw_heading(figure, title)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     figure.savefig(path, dpi=200)
 
