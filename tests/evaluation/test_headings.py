@@ -45,7 +45,7 @@ def test_servos_are_called_by_where_their_numbers_are_from(published):
 
 def test_a_battery_with_a_world_has_the_servos_of_this_world(published):
     assert surroundings(published, load_battery("twin")) == (
-        "sheets' servos, the battery's own world"
+        "sheets' servos with losses, the battery's own world"
     )
 
 
@@ -70,9 +70,11 @@ def test_trials_are_counted_in_each_cell_without_the_control_arm():
 
 
 def test_compared_policies_say_their_servos_where_these_differ():
-    one = Result(load_battery("planar"), "a", ZEROTH01, pd.DataFrame(), {}, surroundings="x servos")
+    battery = load_battery("planar")
+    one = Result(battery, "a", ZEROTH01, pd.DataFrame(), {}, surroundings="x servos, calm")
     same = _told_apart({"a": one, "b": one})
     assert list(same) == ["a", "b"]
-    apart = _told_apart({"a": one, "b": replace(one, surroundings="y servos")})
+    assert "\nx servos, calm; 3 per cell; I = 1 is" in same["a"].heading("3 per cell")
+    apart = _told_apart({"a": one, "b": replace(one, surroundings="y servos, calm")})
     assert list(apart) == ["a (x servos)", "b (y servos)"]
-    assert "servos" not in apart["a (x servos)"].heading("3 per cell")
+    assert "\ncalm; 3 per cell; I = 1 is" in apart["a (x servos)"].heading("3 per cell")

@@ -25,8 +25,8 @@ def heading(
     """
     first = f"{what}: battery {battery.name}"
     if len(battery.points) == 1:
-        what = "balls" if _thrown(battery) else "pushes"
-        first += f", {what} at the {battery.points[0].replace('_', ' ')}"
+        thrown = "balls" if _thrown(battery) else "pushes"
+        first += f", {thrown} at the {battery.points[0].replace('_', ' ')}"
     return f"{first}\n" + "; ".join(x for x in (surroundings, counted, unit(battery, robot)) if x)
 
 
@@ -77,11 +77,15 @@ def surroundings(env_cfg: DictConfig, battery: Battery, kept: Sequence[str] = ()
 
 
 def servos_of(env_cfg: DictConfig) -> str:
-    """Whose servos an env has: the sheets', the published ones, those of an MJCF, or others."""
+    """Whose servos an env has: the sheets', the published ones, those of an MJCF, or others.
+
+    Losses under load, sag and overload, ``servo_dynamics``, are said as well.
+    """
     servos = OmegaConf.select(env_cfg, "base_env.servos")
     if not servos:
         own = OmegaConf.select(env_cfg, "base_env.robot") is not None
         return "motors of its MJCF" if own else "published servos"
     plain = {"_target_", "name", "kp"}  # all else would be a change of what the sheet says
     by_sheet = all(each.get("name") in SERVOS and set(each) <= plain for each in servos.values())
-    return "sheets' servos" if by_sheet else "servos of its own"
+    losses = " with losses" if OmegaConf.select(env_cfg, "base_env.servo_dynamics") else ""
+    return ("sheets' servos" if by_sheet else "servos of its own") + losses

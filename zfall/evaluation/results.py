@@ -163,13 +163,14 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
 
 
 def _told_apart(results: Mapping[str, Result]) -> dict[str, Result]:
-    """The same, but where servos or worlds differ the labels say them, and the headings do not."""
-    if len({each.surroundings for each in results.values()}) == 1:
-        return dict(results)
-    return {
-        f"{label} ({each.surroundings})": replace(each, surroundings="")
-        for label, each in results.items()
-    }
+    """The same, but labels say what differs in servos or worlds, and headings the rest."""
+    words = {label: each.surroundings.split(", ") for label, each in results.items()}
+    common = [word for word in next(iter(words.values())) if all(word in x for x in words.values())]
+    told = {}
+    for label, each in results.items():
+        own = ", ".join(word for word in words[label] if word not in common)
+        told[f"{label} ({own})" if own else label] = replace(each, surroundings=", ".join(common))
+    return told
 
 
 def _is_figure(key: str, value: Any) -> bool:

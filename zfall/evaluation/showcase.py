@@ -119,10 +119,11 @@ def video(
         film(
             base.camera.model,
             {name: each.states[:, shown] for name, each in recorded.items()},
-            [f"pushed {side}" for side in FILMED],
+            [f"pushed {side}; {surroundings(env_cfg, battery)}" for side in FILMED],
             recorded["trained"].pushed.of(shown),
             path,
             dt=frame(base),
+            start=base.control_dt,
             outcomes={name: [each.outcomes[i] for i in shown] for name, each in recorded.items()},
             shadows=False,  # which take most of the time where no graphics card draws
         )

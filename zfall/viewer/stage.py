@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SPACING = 0.7  # between two worlds [m]
-ARMS = 0.4  # room for the arms of the outermost robots [m]
+SPACING = 0.55  # between two worlds [m]
+ARMS = 0.3  # room for the arms of the outermost robots [m]
 MIDDLE = 0.2  # height of the middle of a robot [m]
 FIELD = 0.9  # that cameras see, up and down [rad]
 PHONE = 0.8  # width over height: below it the panel covers the lower part of the page
@@ -82,7 +82,7 @@ def viewpoint(count: int, aspect: float) -> tuple[Array, Array]:
     """
     half = math.tan(FIELD / 2)
     free = aspect if aspect < PHONE else NEXT_TO_PANEL * aspect
-    away = max(1.6, (SPACING * (count - 1) / 2 + ARMS) / (half * free))
+    away = max(1.3, (SPACING * (count - 1) / 2 + ARMS) / (half * free))
     height = 0.35 + 0.3 * away
     position = np.array([away, 0.0, height])
     if aspect >= PHONE:
