@@ -24,7 +24,7 @@ from rich.console import Console
 PICTURES = Path(__file__).parent / "pictures"
 INK, BLUE, GREEN, RED = (40, 46, 54), (0, 114, 178), (0, 128, 92), (213, 94, 0)
 KNEEL = {1080: ("recovers", GREEN), 227: ("kneels", BLUE), 324: ("falls", RED)}  # trials
-SINCE = (0.02, 0.2, 0.35, 0.5, 0.8, 2.5)  # the push of battery kneel began [s]
+SINCE = (0.02, 0.22, 0.34, 0.5, 0.78, 2.5)  # the push of battery kneel began [s]
 CHROMIUM = ["--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run"]
 CHROMIUM += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
 CHROMIUM += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -128,6 +128,7 @@ def test_the_clock_shows_the_time_of_the_state_in_the_picture(monkeypatch, tmp_p
     assert filmed(monkeypatch, tmp_path, start=0.01)[0][1]["clock"] == "0.05 s"
     slow, _ = filmed(monkeypatch, tmp_path, slow=0.5)
     assert [text["clock"] for text in slow[:3]] == ["0.04 s  x0.5", "0.06 s  x0.5", "0.08 s  x0.5"]
+    assert slow[-1]["clock"] == "2.00 s  x0.5"  # the last state stays
 
 
 def test_a_push_is_named_once_and_no_arrow_points_at_who_lies(monkeypatch, tmp_path):

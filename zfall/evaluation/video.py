@@ -94,7 +94,7 @@ def film(
     with imageio.get_writer(path, fps=copies * slow / dt, macro_block_size=8, quality=8) as writer:
         for picture in follow(range(total), total):
             t, share = divmod(picture, copies)
-            time = start + (t + share / copies) * dt
+            time = start + min(t + share / copies, len(pushed.force) - 1) * dt
             lines = []
             for number, (name, states) in enumerate(rows.items()):
                 tiles = []
