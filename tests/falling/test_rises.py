@@ -1,0 +1,83 @@
+"""Movements that get up: as a table, as a file, and as targets over time."""
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from zfall.falling.lying import POSTURES
+from zfall.falling.rises import Rises, load_rises, save_rises, written_rises
+from zfall.robots import ZEROTH01
+
+HIP, YAW, OTHER = (
+    ZEROTH01.joints.index(name) for name in ("left_hip_pitch", "left_hip_yaw", "right_hip_yaw")
+)
+STAND = torch.tensor(ZEROTH01.stand_position)
+
+
+def table(**movements) -> dict[str, list[dict[str, float]]]:
+    return {name: [{"seconds": 1.0, "left_hip_pitch": -1.0}] for name in POSTURES} | movements
+
+
+def test_targets_go_from_keyframe_to_keyframe_in_straight_lines():
+    """Of one joint: from 0 in 1 s to -1, in 0.5 s more to +1, where it stays."""
+    angles = torch.zeros(1, 3, 20)
+    angles[0, :, HIP] = torch.tensor([-1.0, 1.0, 1.0])
+    rises = Rises(angles, torch.tensor([[1.0, 1.5, 1.5]]))
+    for time, angle in (
+        (0.0, 0.0),
+        (0.25, -0.25),
+        (1.0, -1.0),
+        (1.25, 0.0),
+        (1.5, 1.0),
+        (9.0, 1.0),
+    ):
+        target = rises.target(torch.tensor([0]), torch.zeros(1, 20), torch.tensor([time]))
+        assert target[0, HIP].item() == pytest.approx(angle, abs=1e-6)
+        assert rises.over(torch.tensor([0]), torch.tensor([time])).item() == (time >= 1.5)
+
+
+def test_a_keyframe_keeps_what_it_does_not_name_and_mirrors_a_joint_without_its_side():
+    written = written_rises(
+        ZEROTH01,
+        table(belly=[{"seconds": 0.4, "hip_yaw": 0.3}, {"seconds": 0.6, "left_hip_pitch": -1.2}]),
+    )
+    first, last = written.keyframes[POSTURES.index("belly")]
+    assert (first[YAW].item(), first[OTHER].item()) == pytest.approx((0.3, -0.3))
+    assert_close(last[[YAW, OTHER]], first[[YAW, OTHER]])
+    assert last[HIP].item() == pytest.approx(-1.2)
+    rest = [i for i in range(20) if i not in (HIP, YAW, OTHER)]
+    assert_close(last[rest], STAND[rest])
+    assert written.ends[POSTURES.index("belly")].tolist() == pytest.approx([0.4, 1.0])
+    # A shorter movement stays at its last keyframe.
+    assert written.ends[0].tolist() == pytest.approx([1.0, 1.0])
+    assert torch.equal(written.keyframes[0, 0], written.keyframes[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("movements", "message"),
+    [
+        ({"belly": []}, "keyframes for back, belly"),
+        ({"belly": [{"seconds": 0.0}]}, r"rises.belly\[0\].seconds must be positive, got 0.0"),
+        ({"kneel": [{"seconds": 1.0, "tail": 1.0}]}, r"rises.kneel\[0\] must name joints .* tail"),
+    ],
+)
+def test_a_table_without_time_or_with_another_joint_is_refused(movements, message):
+    with pytest.raises(ValueError, match=message):
+        written_rises(ZEROTH01, table(**movements))
+
+
+def test_files_are_read_as_they_were_written_and_others_are_refused(tmp_path):
+    rises = written_rises(ZEROTH01, table())
+    save_rises(tmp_path / "rises.npz", rises)
+    again = load_rises(ZEROTH01, tmp_path / "rises.npz")
+    assert torch.equal(again.keyframes, rises.keyframes)
+    assert torch.equal(again.ends, rises.ends)
+    for name, wrong, message in (
+        ("short", Rises(rises.keyframes[:4], rises.ends[:4]), "other joints or postures"),
+        ("fast", Rises(rises.keyframes, -rises.ends), "finite angles at rising times"),
+    ):
+        save_rises(tmp_path / f"{name}.npz", wrong)
+        with pytest.raises(ValueError, match=message):
+            load_rises(ZEROTH01, tmp_path / f"{name}.npz")
+    with pytest.raises(ValueError, match="rises must be a file that recipes.falling.rises wrote"):
+        load_rises(ZEROTH01, tmp_path / "none.npz")
