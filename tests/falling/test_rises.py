@@ -14,15 +14,19 @@ HIP, YAW, OTHER = (
 STAND = torch.tensor(ZEROTH01.stand_position)
 
 
-def table(**movements) -> dict[str, list[dict[str, float]]]:
-    return {name: [{"seconds": 1.0, "left_hip_pitch": -1.0}] for name in POSTURES} | movements
+def table(**changes) -> dict[str, dict[str, object]]:
+    """A movement for each posture, of its name; values of one may be changed."""
+    keyframes = [{"seconds": 1.0, "left_hip_pitch": -1.0}]
+    movement = {"goal": "belly", "keyframes": keyframes}
+    return {name: movement | {"posture": name} | changes.get(name, {}) for name in POSTURES}
 
 
 def test_targets_go_from_keyframe_to_keyframe_in_straight_lines():
     """Of one joint: from 0 in 1 s to -1, in 0.5 s more to +1, where it stays."""
     angles = torch.zeros(1, 3, 20)
     angles[0, :, HIP] = torch.tensor([-1.0, 1.0, 1.0])
-    rises = Rises(angles, torch.tensor([[1.0, 1.5, 1.5]]))
+    none = torch.empty(0)
+    rises = Rises(("one",), none, none, none, angles, torch.tensor([[1.0, 1.5, 1.5]]))
     for time, angle in (
         (0.0, 0.0),
         (0.25, -0.25),
@@ -37,10 +41,8 @@ def test_targets_go_from_keyframe_to_keyframe_in_straight_lines():
 
 
 def test_a_keyframe_keeps_what_it_does_not_name_and_mirrors_a_joint_without_its_side():
-    written = written_rises(
-        ZEROTH01,
-        table(belly=[{"seconds": 0.4, "hip_yaw": 0.3}, {"seconds": 0.6, "left_hip_pitch": -1.2}]),
-    )
+    keyframes = [{"seconds": 0.4, "hip_yaw": 0.3}, {"seconds": 0.6, "left_hip_pitch": -1.2}]
+    written = written_rises(ZEROTH01, table(belly={"keyframes": keyframes}))
     first, last = written.keyframes[POSTURES.index("belly")]
     assert (first[YAW].item(), first[OTHER].item()) == pytest.approx((0.3, -0.3))
     assert_close(last[[YAW, OTHER]], first[[YAW, OTHER]])
@@ -54,27 +56,45 @@ def test_a_keyframe_keeps_what_it_does_not_name_and_mirrors_a_joint_without_its_
 
 
 @pytest.mark.parametrize(
-    ("movements", "message"),
+    ("belly", "message"),
     [
-        ({"belly": []}, "keyframes for back, belly"),
-        ({"belly": [{"seconds": 0.0}]}, r"rises.belly\[0\].seconds must be positive, got 0.0"),
-        ({"kneel": [{"seconds": 1.0, "tail": 1.0}]}, r"rises.kneel\[0\] must name joints .* tail"),
+        ({"keyframes": []}, "movements.belly.keyframes must hold at least one"),
+        ({"keyframes": [{"seconds": 0.0}]}, r"movements.belly.keyframes\[0\] must have positive"),
+        ({"keyframes": [{"seconds": 1.0, "tail": 1.0}]}, r"must name joints of .* got tail"),
+        ({"begins": {"tail": 1.0}}, r"movements.belly.begins must name joints of .* got tail"),
+        ({"goal": "hover"}, "movements.belly.goal must be one of stand, belly, got hover"),
+        ({"posture": "back"}, "movements must have one for each posture, got none for belly"),
     ],
 )
-def test_a_table_without_time_or_with_another_joint_is_refused(movements, message):
+def test_a_table_that_says_no_movement_is_refused(belly, message):
     with pytest.raises(ValueError, match=message):
-        written_rises(ZEROTH01, table(**movements))
+        written_rises(ZEROTH01, table(belly=belly))
+
+
+def test_of_the_movements_for_a_posture_the_one_that_begins_nearest_is_chosen():
+    """Sitting, both hips at -1.4, and kneeling, both at 0.6: the middle is -0.4."""
+    both = table(kneel={"begins": {"hip_pitch": 0.6}})
+    both["sit"] = both["kneel"] | {"begins": {"hip_pitch": -1.4}}
+    rises = written_rises(ZEROTH01, both)
+    joints = STAND.repeat(4, 1)
+    for world, angle in enumerate((-1.2, -0.5, -0.3, -1.2)):
+        joints[world, [HIP, ZEROTH01.mirror_index[HIP]]] = angle
+    postures = torch.tensor([POSTURES.index(name) for name in ("kneel", "kneel", "kneel", "belly")])
+    chosen = [rises.names[i] for i in rises.choose(postures, joints)]
+    assert chosen == ["sit", "sit", "kneel", "belly"]
 
 
 def test_files_are_read_as_they_were_written_and_others_are_refused(tmp_path):
     rises = written_rises(ZEROTH01, table())
     save_rises(tmp_path / "rises.npz", rises)
     again = load_rises(ZEROTH01, tmp_path / "rises.npz")
-    assert torch.equal(again.keyframes, rises.keyframes)
-    assert torch.equal(again.ends, rises.ends)
+    assert again.names == rises.names
+    for one, other in zip(again[1:], rises[1:], strict=True):
+        assert_close(one, other, equal_nan=True)
     for name, wrong, message in (
-        ("short", Rises(rises.keyframes[:4], rises.ends[:4]), "other joints or postures"),
-        ("fast", Rises(rises.keyframes, -rises.ends), "finite angles at rising times"),
+        ("short", rises._replace(keyframes=rises.keyframes[:4]), "other joints or movements"),
+        ("fast", rises._replace(ends=-rises.ends), "finite angles at rising times"),
+        ("poor", rises._replace(posture=rises.posture * 0), "a movement for each posture"),
     ):
         save_rises(tmp_path / f"{name}.npz", wrong)
         with pytest.raises(ValueError, match=message):

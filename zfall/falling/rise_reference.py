@@ -14,7 +14,7 @@ from zfall.envs.transforms.observations.measured import read_measured
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.lying import POSTURES, posture_of
 from zfall.falling.modes import RISE, STABLE
-from zfall.falling.rises import load_rises, rises_path
+from zfall.falling.rises import GOALS, load_rises, rises_path
 from zfall.fingerprints import reads_files
 from zfall.values import NotNegative
 
@@ -24,21 +24,22 @@ _BELLY, _KNEEL = POSTURES.index("belly"), POSTURES.index("kneel")
 
 @reads_files(lambda values, robot: [Path(values.get("rises") or rises_path(robot))], "rises")
 class RiseReference(Transform):
-    """Gets the robot up in mode RISE, by the movement for the posture in which it lies.
+    """Gets the robot up in mode RISE, by the movement for how it lies or kneels.
 
     The posture is where gravity points in axes of the base: back, belly, left, right or, upright,
     kneel. It is read from the accelerometer, averaged over ``MEMORY`` seconds: an estimated roll
     means nothing to a robot on its belly, whose pitch is 90 degrees. The target goes through the
-    keyframes of the movement, whatever the policy does.
+    keyframes of the movement, whatever the policy does. Of several movements for a posture it is
+    the one that begins nearest to the angles of the joints.
 
     Where a movement ends lying, the next one begins ``pause`` seconds later: so the robot rolls
     from its back to its belly, gets up from there, and tries again if it fell. Where it ends
     upright the robot keeps the last keyframe; if it is still in mode RISE after ``patience``
-    seconds, it begins anew as from a kneel. A robot that gets up from belly or kneel and finds
-    itself on its back or side begins with the movement for that at once.
+    seconds, it begins anew as from a kneel. A robot that is on its way from belly or kneel to
+    standing, and finds itself on its back or side, begins with the movement for that at once.
 
-    Keys: reads ``mode`` ``(N, 4)`` and ``base_acceleration`` ``(N, 3)`` [m/s2], measured where
-    sensing wrote it; changes ``target`` ``(N, J)`` [rad]. Comes after the other
+    Keys: reads ``mode`` ``(N, 4)``, ``base_acceleration`` ``(N, 3)`` [m/s2] and
+    ``joint_position`` ``(N, J)`` [rad], measured where sensing wrote them; changes ``target`` ``(N, J)`` [rad]. Comes after the other
     references, before ``StableHold``.
 
     Args:
@@ -57,7 +58,7 @@ class RiseReference(Transform):
     way: Tensor
     begin: Tensor
     acceleration: Tensor
-    posture: Tensor
+    number: Tensor
     clock: Tensor
 
     def __init__(
@@ -81,7 +82,7 @@ class RiseReference(Transform):
         # Of each world, the movement and for how many steps it goes on; -1 before the first.
         self.register_buffer("acceleration", torch.zeros(env.num_envs, 3))  # its average [m/s2]
         self.share = min(1.0, env.control_dt / MEMORY)
-        self.register_buffer("posture", torch.zeros(env.num_envs, dtype=torch.long))
+        self.register_buffer("number", torch.zeros(env.num_envs, dtype=torch.long))
         self.register_buffer("clock", torch.full((env.num_envs,), -1))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -99,26 +100,27 @@ class RiseReference(Transform):
             self.clock.fill_(-1)
             self.way = target
             return tensordict
-        new = rising & self._begins(posture_of(-self.acceleration))
+        joints = read_measured(tensordict, "joint_position")
+        new = rising & self._begins(posture_of(-self.acceleration), joints)
         self.begin = torch.where(new[:, None], self.way, self.begin)
         self.clock = torch.where(new, 0, self.clock)
         time = (self.clock + 1) * self.control_dt
-        goes = self.rises.target(self.posture, self.begin, time)
+        goes = self.rises.target(self.number, self.begin, time)
         self.way = torch.where(rising[:, None], goes, target)
         self.clock = torch.where(rising, self.clock + 1, -1)
         clamped = torch.clamp(goes, *self.range.unbind(-1))
         return tensordict.set("target", torch.where(rising[:, None], clamped, tensordict["target"]))
 
-    def _begins(self, posture: Tensor) -> Tensor:
-        """Worlds in which a movement begins, that of this posture ``(N,)`` bool."""
+    def _begins(self, posture: Tensor, joint_position: Tensor) -> Tensor:
+        """Worlds in which a movement begins, for this posture and these angles ``(N,)`` bool."""
         time = self.clock * self.control_dt
         upright = posture == _KNEEL
         wait = torch.where(upright, self.patience, self.pause)
-        over = self.rises.over(self.posture, time - wait)
-        getting_up = (self.posture == _BELLY) | (self.posture == _KNEEL)
+        over = self.rises.over(self.number, time - wait)
+        getting_up = self.rises.goal[self.number] == GOALS.index("stand")
         stumbled = getting_up & ~upright & (posture != _BELLY)
         new = (self.clock < 0) | over | stumbled
-        self.posture = torch.where(new, posture, self.posture)
+        self.number = torch.where(new, self.rises.choose(posture, joint_position), self.number)
         return new
 
     def _reset(

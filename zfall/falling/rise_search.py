@@ -12,15 +12,14 @@ from torch import Tensor
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.envs.make import make_env
 from zfall.evaluation.definitions import load_battery
-from zfall.falling.lying import POSTURES, load_lying
-from zfall.falling.rises import Rises
+from zfall.falling.lying import load_lying
+from zfall.falling.rises import GOALS, Rises
 from zfall.falling.search import CrossEntropySearch
 from zfall.falling.standing import stands
 
 AFTER = 0.8  # time after the last keyframe in which a movement shows what it is worth [s]
 LAST = 0.4  # the end of it, which counts [s]
 FORCE = 1200.0  # worst that a score tells apart, as in ``recorded_falls`` [N]
-GOALS = {"back": "belly", "left": "belly", "right": "belly", "belly": "stand", "kneel": "stand"}
 
 
 class Rose(NamedTuple):
@@ -72,9 +71,10 @@ class LyingWorlds:
         self.bank = load_lying(base.robot, bank)
         self.env.set_seed(seed)
 
-    def rows(self, posture: str) -> Tensor:
-        """Rows of the bank in this posture ``(K,)``."""
-        return (self.bank["posture"] == POSTURES.index(posture)).nonzero()[:, 0]
+    def rows(self, rises: Rises, number: int) -> Tensor:
+        """Rows of the bank for which a movement would be chosen ``(K,)``."""
+        chosen = rises.choose(self.bank["posture"], self.bank["joint_position"])
+        return (chosen == number).nonzero()[:, 0]
 
     def rise(self, rows: Tensor, moves: Tensor, ends: Tensor, goal: str) -> Rose:
         """What comes of movements that begin in rows of the bank.
@@ -90,7 +90,8 @@ class LyingWorlds:
         start = TensorDict({key: self.bank[key][rows] for key in STATE_KEYS}, [count])
         td = base.reset(TensorDict({"start": start}, [count]))
         begin, each = self.bank["target"][rows], torch.arange(count)
-        rises = Rises(moves, ends.expand(count, -1))
+        none = torch.empty(0)
+        rises = Rises((), none, none, none, moves, ends.expand(count, -1))
         struck = [base.regions.index(region) for region in ("torso", "head")]
         force, torque, near = torch.zeros(3, count)
         reached, failed = torch.ones(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
@@ -117,21 +118,27 @@ class LyingWorlds:
 
 
 def search_rise(
-    worlds: LyingWorlds, rises: Rises, posture: str, search: CrossEntropySearch
+    worlds: LyingWorlds, rises: Rises, name: str, search: CrossEntropySearch
 ) -> tuple[Rose, Rose]:
-    """Searches the movement of one posture, and keeps the known one unless the new one is better.
+    """Searches one of the movements, and keeps the known one unless the new one is better.
 
     Args:
         worlds: ``candidates * trials`` of them.
         rises: whose keyframes are replaced.
-        posture: one of ``POSTURES``.
+        name: of the movement.
         search: what looks for it.
 
     Returns:
         What comes of the movement known before and of that found, over starts of the bank.
+
+    Raises:
+        ValueError: if the bank has no start for it.
     """
-    number, rows = POSTURES.index(posture), worlds.rows(posture)
-    known, ends, goal = rises.keyframes[number], rises.ends[number], GOALS[posture]
+    number = rises.names.index(name)
+    rows, goal = worlds.rows(rises, number), GOALS[rises.goal[number]]
+    if not len(rows):
+        raise ValueError(f"bank must have starts for {name}, got none.")
+    known, ends = rises.keyframes[number], rises.ends[number]
 
     def score(tried: Tensor, moves: Tensor) -> Tensor:
         return worlds.rise(tried, moves, ends, goal).score

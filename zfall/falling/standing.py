@@ -21,6 +21,6 @@ def stands(td: TensorDictBase, robot: Robot) -> Tensor:
     ``com_position`` ``(N, 3)`` [m].
     """
     high = td["com_position"][:, 2] > HEIGHT * robot.com_height
-    upright = cos_tilt(td["base_orientation"]) > math.cos(TILT)
+    upright = cos_tilt(td["base_orientation"]).squeeze(-1) > math.cos(TILT)
     feet = (td["contact_force_peak"][:, -2:] > 0).any(-1)
     return torch.logical_and(high & upright, feet & ~body_contact(td, td).squeeze(-1))
