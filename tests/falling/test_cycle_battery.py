@@ -59,10 +59,9 @@ def test_rates_are_worked_out_by_hand():
 
 
 def test_who_never_falls_has_no_figure_of_falls():
-    zero = dict.fromkeys(
-        ("falls", "falls_open", "falls_stood", "pushes_down", "down_s", "landing_force",
-         "landing_torque", "landing_vulnerable", "rise_force"), [0.0]
-    )  # fmt: skip
+    names = ("falls", "falls_open", "falls_stood", "pushes_down", "down_s", "landing_force",
+             "landing_torque", "landing_vulnerable", "rise_force")  # fmt: skip
+    zero = {name: [0.0] for name in names}
     figures = cycle_figures(pd.DataFrame(zero | {"pushes_met": [6.0]}), 60.0)
     assert figures["stood_share"] is None
     assert figures["landing_force_high"] is None

@@ -117,9 +117,7 @@ def cycle_figures(trials: pd.DataFrame, seconds: float) -> dict[str, Any]:
         trials: with the columns of ``Cycling``.
         seconds: length of an episode.
     """
-    sums = trials.assign(
-        falls_over=trials["falls"] - trials["falls_open"], minutes=seconds / 60.0
-    )
+    sums = trials.assign(falls_over=trials["falls"] - trials["falls_open"], minutes=seconds / 60.0)
     totals = sums.select_dtypes("number").sum()
     names = ("falls", "falls_over", "falls_stood", "pushes_met", "pushes_down")
     out: dict[str, Any] = {"episodes": len(trials)} | {name: int(totals[name]) for name in names}

@@ -48,8 +48,8 @@ class GetUp:
 
     def plan(self, battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
         """A row for each posture and start; ``start`` says which."""
-        row = {"direction_rad": 0.0, "impulse": 0.0, "duration_s": battery.durations[0]}
-        row |= {"body": battery.points[0]}
+        row: dict[str, Any] = {"direction_rad": 0.0, "impulse": 0.0}
+        row |= {"duration_s": battery.durations[0], "body": battery.points[0]}
         trials = numbered([row] * (battery.starts * len(POSTURES)), impulse_unit, seed)
         trials["start"] = np.repeat(POSTURES, battery.starts)
         return trials

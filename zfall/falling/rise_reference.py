@@ -39,8 +39,8 @@ class RiseReference(Transform):
     standing, and finds itself on its back or side, begins with the movement for that at once.
 
     Keys: reads ``mode`` ``(N, 4)``, ``base_acceleration`` ``(N, 3)`` [m/s2] and
-    ``joint_position`` ``(N, J)`` [rad], measured where sensing wrote them; changes ``target`` ``(N, J)`` [rad]. Comes after the other
-    references, before ``StableHold``.
+    ``joint_position`` ``(N, J)`` [rad], measured where sensing wrote them; changes ``target``
+    ``(N, J)`` [rad]. Comes after the other references, before ``StableHold``.
 
     Args:
         env: the base env.

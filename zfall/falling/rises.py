@@ -13,7 +13,6 @@ from zfall.falling.files import own_file
 from zfall.falling.lying import POSTURES
 from zfall.robots import Robot
 
-
 GOALS = ("stand", "belly")
 
 
