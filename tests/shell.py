@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 TINY = ["num_envs=8", "rollout_steps=4", "minibatches=2", "epochs=2", "total_frames=64",
         "checkpoint_every=1", "statistics_batches=0", "showcase=null"]  # fmt: skip
 SMALL = ["starts=1", "directions=2", "impulses=[0.2]", "point=pelvis", "end_time=4.0"]
+SOON = {"push_time": 0.2, "end_time": 1.0}  # of a battery, in place of 3 and 7 s
 SHOW = ["showcase={starts: 1, sizes: [0.4], video: false}"]
 
 

@@ -55,7 +55,7 @@ def ablate(args: list[str]) -> None:
     start(recipe.main)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_study_whose_worker_is_killed_has_the_same_tables(cluster, studies, tmp_path):
     expected = undisturbed(tmp_path / "alone", studies)
     own, folder = [*studies, *places(tmp_path)], tmp_path / "runs"

@@ -47,7 +47,7 @@ def begins(folder: Path) -> list[list[int]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("shared", ["true", "false"])
+@pytest.mark.parametrize("shared", [pytest.param("true", marks=pytest.mark.slow), "false"])
 def test_a_job_whose_worker_is_killed_goes_on_from_its_last_checkpoint(
     cluster, tmp_path, monkeypatch, shared
 ):

@@ -92,6 +92,7 @@ torch.save(go_on(env, td, 20, seed=2)[0]["next", "observation"], sys.argv[1] + "
 """
 
 
+@pytest.mark.long
 def test_torchrls_checkpoint_restores_an_env_in_another_process(tmp_path):
     env = build_task("push_recovery_realistic", num_envs=3)
     _, td = go_on(env, env.reset(), 20, seed=1)

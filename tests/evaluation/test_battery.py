@@ -97,6 +97,7 @@ def test_outcomes_are_consistent(results):
     assert (held["peak_base_acceleration"] > 9.7).all()
 
 
+@pytest.mark.long
 def test_trials_do_not_depend_on_the_number_of_worlds(compose_config):
     """More trials than fit into 64 worlds: two rounds of these, or one of 128."""
     cfg = compose_config("num_envs=64")

@@ -65,6 +65,7 @@ def test_values_of_the_env_can_be_changed_and_must_be_there(trained):
     assert "change must name a value of the env, there is no transforms.action.skale" in bad.stderr
 
 
+@pytest.mark.long
 def test_baselines_next_to_a_policy_meet_its_world(tmp_path):
     tiny = [*TINY, "env.base_env.physics_dt=0.008"]
     assert run("train", *tiny, f"hydra.run.dir={tmp_path}/one").returncode == 0

@@ -1,6 +1,7 @@
 """Baselines that kneel by script."""
 
 import pandas as pd
+import pytest
 import torch
 from hydra.utils import instantiate
 from tensordict import TensorDict
@@ -12,6 +13,7 @@ from zfall.falling.kneel_reference import KneelReference
 from zfall.robots import ZEROTH01
 
 
+@pytest.mark.long
 def test_a_scripted_kneel_is_another_way_down_and_needs_modes(tmp_path):
     kneel = ["battery=kneel", "impulses=[1.0]", "directions=1", "starts=1", "force_starts=1"]
     own = [*kneel, f"hydra.run.dir={tmp_path}"]

@@ -41,6 +41,7 @@ def test_times_after_the_end_give_nothing_to_record():
         record_falls(policy.config.env, policy.actor, times=[5.0], **HARD)
 
 
+@pytest.mark.long
 def test_a_fall_goes_on_from_a_bank_as_in_the_trial_it_was_taken_from(tmp_path):
     """What the policy sees first decides what it does: the target, the feet, the speed."""
     policy = load_policy("kneel_soft")

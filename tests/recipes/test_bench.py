@@ -12,6 +12,7 @@ from zfall.training import speed
 TINY = ["num_envs=8", "rollout_steps=4", "seconds=0.1"]
 
 
+@pytest.mark.long
 def test_bench_writes_flat_figures_and_prints_them(tmp_path, monkeypatch):
     monkeypatch.setattr(speed, "ROUNDS", 1)
     monkeypatch.setattr(speed, "loss_shares", partial(speed.loss_shares, rounds=1))

@@ -34,6 +34,7 @@ def envelope(trained):
     return trained / "evaluation" / setting
 
 
+@pytest.mark.long
 def test_battery_of_a_run(evaluated):
     folder = evaluated
     summary = json.loads((folder / "summary.json").read_text())
@@ -133,6 +134,7 @@ def test_a_trial_run_alone_is_the_same_trial(trained, evaluated):
     assert "trial must be one of 0 to 3, got 999" in bad.stderr
 
 
+@pytest.mark.long
 def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evaluated):
     before = (evaluated / "trials.csv").read_bytes()
     changed = ["battery.max_tilt=0.3", 'change=["transforms.action.scale=0.3"]']
@@ -226,6 +228,7 @@ def test_envelope_of_a_run_is_drawn_with_that_of_pose_hold(trained, envelope):
     assert "runs needs a battery whose trials are the same" in bad.stderr
 
 
+@pytest.mark.long
 def test_an_interrupted_envelope_goes_on_after_its_last_round(trained, envelope, monkeypatch):
     from zfall.evaluation import run as library
 

@@ -49,6 +49,7 @@ def test_a_baseline_cannot_be_exported(tmp_path):
     assert "run must hold a policy, pose_hold is a baseline" in done.stderr
 
 
+@pytest.mark.long
 def test_a_policy_with_a_memory_from_the_shell(tmp_path, monkeypatch):
     """Every trial of two directions, three sizes: a policy that has learned nothing holds still."""
     pytest.importorskip("onnxruntime")

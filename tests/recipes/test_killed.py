@@ -124,9 +124,8 @@ def check(kind: str, folder: Path, kills: int, seed: int) -> None:
             process.join()
 
 
-@pytest.mark.parametrize(("kind", "kills"), [("mlp", 1), ("gru", 1), ("kneeling", 1)])
-def test_a_run_killed_at_random_moments_equals_the_one_left_alone(kind, kills, tmp_path):
-    check(kind, tmp_path, kills, seed=0)
+def test_a_run_killed_at_random_moments_equals_the_one_left_alone(tmp_path):
+    check("gru", tmp_path, kills=1, seed=0)
 
 
 @pytest.mark.slow

@@ -259,7 +259,7 @@ def killed_and_resumed(whole: Path, folder: Path, frames: str, kills: int, seed:
     assert_same_run(run, whole)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes as Linux lists them")
 def test_a_rank_killed_ends_all_in_one_line_and_the_run_goes_on_exactly(whole, tmp_path):
     killed_and_resumed(whole, tmp_path, FRAMES, kills=1, seed=0)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from tests.shell import ROOT, TINY, run
+from tests.shell import ROOT, SOON, TINY, run
 from zfall.evaluation import showcase
 from zfall.training.loop import garbage_collector_of_new_things
 
@@ -249,9 +249,7 @@ def test_a_run_whose_logger_writes_elsewhere_goes_on_once_that_is_trusted(tmp_pa
     assert done.returncode == 0, done.stderr
 
 
-SOON = {"push_time": 0.2, "end_time": 1.0}  # in place of 3 and 7 s
-
-
+@pytest.mark.long
 def test_a_look_in_between_changes_nothing_of_the_training(tmp_path):
     """It is there before the training is over, and of the battery that was asked for."""
     looked = "{starts: 1, sizes: [0.4], video: false, every: 2, battery: twin}"

@@ -47,6 +47,7 @@ def test_a_run_without_a_checkpoint_yet_is_refused(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_it_with_one_line_and_frees_the_port(tmp_path):
     command = [sys.executable, "-m", "recipes.view", "run=limp", "worlds=1", "port=0"]
     command += [f"hydra.run.dir={tmp_path}/run"]

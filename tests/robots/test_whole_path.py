@@ -34,6 +34,7 @@ def of_the_guide() -> str:
     return str(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "joints"), [("humanoid", 21), ("toy", 6), ("block", 1)])
 def test_a_robot_goes_from_its_mjcf_to_a_policy_for_its_computer(tmp_path, name, joints):
     pytest.importorskip("onnxruntime")

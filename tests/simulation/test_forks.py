@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from zfall.envs.humanoid import HumanoidEnv
@@ -58,6 +59,7 @@ def fork_worlds_with_models_of_their_own() -> None:
     assert in_a_fork(lambda: True) == 0
 
 
+@pytest.mark.long
 def test_a_fork_of_worlds_with_models_of_their_own_does_not_wait_for_ever():
     """A film's encoder starts as such a process. An alarm ends one that waits."""
     command = (
@@ -71,6 +73,7 @@ def test_a_fork_of_worlds_with_models_of_their_own_does_not_wait_for_ever():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_a_forked_process_frees_and_steps_what_it_inherits():
     command = f"from {__name__} import fork_what_has_stepped as work; work()"
     alone = {**os.environ, "OMP_NUM_THREADS": "1"}

@@ -46,6 +46,7 @@ class Steady:
         return Constant(self.value, policy.env().action_spec.shape[-1])
 
 
+@pytest.mark.long
 def test_a_row_is_tested_with_it_and_trained_without(tiny, tmp_path):
     """Targets that never move are smooth; the trained policy's are not."""
     rows, steady = {"alone": [], "steady": []}, {"steady": {"_target_": STEADY}}

@@ -67,6 +67,7 @@ def test_each_group_is_what_it_would_be_alone(compose_config):
     assert not torch.equal(batch["observation"][0], batch["observation"][4])
 
 
+@pytest.mark.long
 def test_shared_random_numbers_are_drawn_alike_however_long_the_physics_takes(
     compose_config, monkeypatch
 ):

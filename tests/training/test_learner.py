@@ -23,6 +23,7 @@ from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.metrics import batch_metrics
 from zfall.training.ranks import WholeMinibatch
+from zfall.training.task_facts import TaskFacts
 
 NETWORKS = ["mlp_gaussian mlp", "mlp_mog mlp", "gru_mog mlp", "gru_mog gru", "mlp_gaussian gru",
             "mlp_shared_mog mlp", "gru_shared_mog mlp"]  # fmt: skip
@@ -457,6 +458,7 @@ def test_advantages_are_normalised_over_what_is_asked(compose_config, over):
     assert normal == (over == "batch")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("actor", ["mlp_gaussian", pytest.param("gru_mog", marks=pytest.mark.slow)])
 def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
     """The error of mirror images after some updates, with and without either way.
@@ -482,6 +484,26 @@ def test_symmetry_makes_the_policy_symmetric(compose_config, actor):
         error[name] = loss(measure.collect())["loss_symmetry"].item()
     assert error["loss"] < 0.3 * error["none"]
     assert error["augmentation"] < error["none"]
+
+
+@pytest.mark.parametrize("actor", ["mlp_gaussian", "gru_mog"])
+def test_symmetric_networks_stay_so_while_they_learn(compose_config, actor):
+    """A recurrent one at the beginning of episodes, where it remembers nothing."""
+    words = ["num_envs=16", "caps=atalante", f"actor={actor}"]
+    learner = Learner(compose_config(*words, "actor.symmetric=true", "critic.symmetric=true"))
+    for _ in range(2):
+        learner.learn(learner.collect())
+    task = TaskFacts(learner.env, learner.cfg)
+    seen = learner.env.reset()
+    image = seen.clone()
+    for key in ("observation", "observation_critic"):
+        image[key] = task.mirror(key)(image[key])
+    for policy in (learner.actor, learner.policy):
+        mean = policy.get_dist(seen).mean
+        torch.testing.assert_close(policy.get_dist(image).mean, task.mirror("action")(mean))
+        assert mean.std() > 1e-3
+    value = learner.critic(seen)["state_value"].clone()
+    torch.testing.assert_close(learner.critic(image)["state_value"], value)
 
 
 @pytest.mark.parametrize(("share", "rows"), [(0.25, 16), (1.0, 64), (0.001, 1)])

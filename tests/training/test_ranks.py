@@ -56,6 +56,7 @@ def learned(cfg: Any, ranks: Ranks, count: int) -> dict[str, Any]:
     return {"rows": rows, "weights": weights}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", TRAININGS)
 def test_ranks_learn_what_one_process_with_all_their_worlds_learns(kind, tmp_path):
     """Every figure of every update, and the weights; losses, masks, normalisers and all."""

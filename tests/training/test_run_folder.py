@@ -185,6 +185,7 @@ with owned(Path(sys.argv[1])):
 """
 
 
+@pytest.mark.long
 def test_one_process_trains_in_a_folder_and_a_killed_one_leaves_it_free(trained, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(trained, folder)

@@ -1,13 +1,16 @@
 """Trainings of several stages: what each is, where it begins, and that it goes on anywhere."""
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 import torch
 from omegaconf import OmegaConf
 
-from tests.shell import TINY, run
+from tests.shell import SOON, TINY, run
 from zfall import checkpoint
 from zfall.configs import compose_config
+from zfall.evaluation import showcase
 from zfall.training.learner import Learner
 from zfall.training.run_folder import RunFolder
 from zfall.training.stages import check_lengths, stages_of, written_out
@@ -221,6 +224,7 @@ def test_a_stage_begins_with_the_weights_of_the_one_before(tmp_path):
     assert OmegaConf.create(last["config"]).actor.std == 0.07
 
 
+@pytest.mark.long
 def test_only_lengths_of_stages_change_when_it_goes_on(tmp_path):
     done = run("train", *TINY, "+stages={a: {}, b: {}}", f"hydra.run.dir={tmp_path}/run")
     assert done.returncode == 0, done.stderr
@@ -233,6 +237,7 @@ def test_only_lengths_of_stages_change_when_it_goes_on(tmp_path):
     assert list(pd.read_csv(tmp_path / "run" / "metrics.csv")["stage"]) == [1, 1, 2, 2, 2, 2]
 
 
+@pytest.mark.long
 def test_a_length_that_no_stage_would_have_is_refused(tmp_path):
     done = run("train", *TINY, "+stages={a: {}, b: {}}", f"hydra.run.dir={tmp_path}/run")
     assert done.returncode == 0, done.stderr
@@ -275,10 +280,12 @@ def test_ones_own_code_needs_no_trust_in_ones_own_stages(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_what_is_shown_before_is_what_the_stage_began_with(tmp_path):
+def test_what_is_shown_before_is_what_the_stage_began_with(tmp_path, monkeypatch):
     """Also where it is another network."""
     shown = "showcase={starts: 1, sizes: [0.4], video: false, every: 1}"
     stages = "+stages={a: {}, b: {warm_start: null, actor: {num_cells: [16]}}}"
+    asked = showcase.battery_of
+    monkeypatch.setattr(showcase, "battery_of", lambda cfg: replace(asked(cfg), **SOON))
     done = run("train", *TINY[:-1], shown, stages, f"hydra.run.dir={tmp_path}/run")
     assert done.returncode == 0, done.stderr
 

@@ -67,15 +67,13 @@ class HumanoidEnv(EnvBase):
     Writes the quantities of the table in ``zfall.simulation.quantities``, which says how old each
     is in its step; after a reset all are those of the new state.
 
-    ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of
-    its TensorDict say, see ``Placing``. A task's env, as ``make_env`` builds it, is started by
-    its transforms, ``ScriptedStart`` for instance: TorchRL passes it nothing else. After
-    ``record_substeps(keys)`` it also writes ``("substeps", key)`` ``(N, S, ...)``.
+    ``reset`` puts worlds into the standing pose, or into what the keys ``("start", NAME)`` of its
+    TensorDict say, see ``Placing``. TorchRL passes none to the env of a task, which is started by
+    its transforms. ``record_substeps(keys)`` adds ``("substeps", key)`` ``(N, S, ...)``.
 
     Args:
         num_envs: number of worlds N.
-        control_dt: time between two actions [s], a multiple of ``physics_dt``.
-        physics_dt: timestep of the physics [s].
+        control_dt, physics_dt: time between two actions, a multiple of the physics' step [s].
         robot: the robot.
         push_points: points for pushes in addition to the robot's, by name.
         ball: a ball that ``ThrownBall`` can throw.

@@ -1,6 +1,5 @@
 """Actors: a trunk (MLP or stacked GRU) and a head (Gaussian or mixture of Gaussians)."""
 
-import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Unpack, cast
 
@@ -12,135 +11,20 @@ from torchrl.data import Composite
 from torchrl.modules import ProbabilisticActor
 
 from zfall.modules.gru import StackedGRU
-from zfall.modules.heads import GaussianHead, Head, HeadValues, make_head
+from zfall.modules.heads import GaussianHead, Head, HeadValues, SharedMixtureHead, make_head
 from zfall.modules.normalization import ObservationNormalizer
-from zfall.values import Count, Rule, Whole, one_of
-
-_ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
-Activation = Annotated[str, one_of(*_ACTIVATIONS)]
-Initialization = Annotated[str, one_of("orthogonal", "default")]
-MemorySteps = Annotated[float, Rule("be at least 2 and finite", lambda x: 2 <= x < math.inf)]
-
-
-def mlp_trunk(
-    size: int,
-    num_cells: Sequence[int],
-    activation: str = "elu",
-    initialization: str = "orthogonal",
-) -> nn.Sequential:
-    """Linear layers with an activation behind each.
-
-    Weights are drawn layer by layer: ``orthogonal`` of gain sqrt(2) with biases of zero, or as
-    torch does by itself, ``default``.
-
-    Raises:
-        ValueError: on an unknown activation or initialization, or no layer or cell.
-    """
-    _check_initialization(initialization)
-    _check_widths(num_cells)
-    if activation not in _ACTIVATIONS:
-        names = ", ".join(_ACTIVATIONS)
-        raise ValueError(f"activation must be one of {names}, got {activation!r}.")
-    layers: list[nn.Module] = []
-    for cells in num_cells:
-        linear = nn.Linear(size, cells)
-        if initialization == "orthogonal":
-            nn.init.orthogonal_(linear.weight, math.sqrt(2))
-            nn.init.zeros_(linear.bias)
-        layers += [linear, _ACTIVATIONS[activation]()]
-        size = cells
-    return nn.Sequential(*layers)
-
-
-def gru_trunk(
-    size: int,
-    hidden_size: int,
-    num_layers: int,
-    normalize: bool | str | ObservationNormalizer,
-    initialization: str,
-    *,
-    role: str,
-    in_key: str,
-    encoder_cells: Sequence[int] = (),
-    activation: str = "elu",
-    memory_steps: float | None = None,
-) -> tuple[TensorDictModule, StackedGRU]:
-    """A linear layer and stacked GRU cells: ``in_key`` ``(*B, size)`` -> ``features_ROLE``.
-
-    In front of the linear layer there may be an ``mlp_trunk`` of ``encoder_cells``. Weights are
-    drawn layer by layer: ``orthogonal``, those of each gate by themselves, with biases of zero, or
-    as torch does by itself, ``default``. The hidden state is ``recurrent_state_ROLE``.
-
-    Of what a cell remembers, a GRU keeps about half in each step at the start, and the gradient
-    through many steps vanishes. With ``memory_steps`` T the biases of the gates that keep are
-    log(u), u uniform from 1 to T - 1, so that cells remember for 2 to T steps.
-
-    Raises:
-        ValueError: on an unknown initialization, no layer or cell, or fewer than 2 steps.
-
-    Source of these biases: Tallec and Ollivier, "Can recurrent neural networks warp time?",
-    ICLR 2018.
-    """
-    _check_initialization(initialization)
-    if memory_steps is not None and not 2 <= memory_steps < math.inf:
-        raise ValueError(f"memory_steps must be at least 2 and finite, got {memory_steps}.")
-    for name, value in (("hidden_size", hidden_size), ("num_layers", num_layers)):
-        if value < 1:
-            raise ValueError(f"{name} must be at least 1, got {value}.")
-    front = [mlp_trunk(size, encoder_cells, activation, initialization)] if encoder_cells else []
-    linear = nn.Linear(encoder_cells[-1] if encoder_cells else size, hidden_size)
-    embedding, features, hidden = f"embedding_{role}", f"features_{role}", hidden_key(role)
-    gru = StackedGRU(hidden_size, num_layers, embedding, features, hidden)
-    if initialization == "orthogonal":
-        for name, values in [*linear.named_parameters(), *gru.named_parameters()]:
-            if "bias" in name:
-                nn.init.zeros_(values)
-            else:
-                for gate in values.split(hidden_size):
-                    nn.init.orthogonal_(gate)
-    if memory_steps is not None:
-        for name, values in gru.named_parameters():
-            if "bias" in name:
-                keeps = values.data[hidden_size : 2 * hidden_size]
-                both = torch.empty_like(keeps).uniform_(1.0, memory_steps - 1.0).log()
-                keeps.copy_(both if "bias_ih" in name else torch.zeros_like(keeps))
-    encoder = nn.Sequential(*normalizer(size, normalize), *front, linear)
-    return TensorDictModule(encoder, in_keys=[in_key], out_keys=[embedding]), gru
-
-
-def hidden_key(role: str) -> str:
-    """Name of the hidden state of an ``actor`` or a ``critic``."""
-    return f"recurrent_state_{role}"
-
-
-def _check_widths(num_cells: Sequence[int]) -> None:
-    if not num_cells or min(num_cells) < 1:
-        raise ValueError(f"num_cells must be widths of at least 1, one or more, got {num_cells}.")
-
-
-def _check_initialization(initialization: str) -> None:
-    if initialization not in ("orthogonal", "default"):
-        raise ValueError(f"initialization must be orthogonal or default, got {initialization!r}.")
-
-
-def normalizer(size: int, normalize: bool | str | ObservationNormalizer) -> list[nn.Module]:
-    """What stands before the first layer: a normaliser, new or shared, or nothing.
-
-    Raises:
-        ValueError: if the one to be shared is of another size, or if it is a word.
-    """
-    if isinstance(normalize, str):
-        raise ValueError(
-            f"normalize must be true or false, of a critic also shared, got {normalize}."
-        )
-    if isinstance(normalize, ObservationNormalizer):
-        if len(normalize.mean) != size:
-            raise ValueError(
-                f"a shared normaliser must have the size of the observation, {size}, "
-                f"got {len(normalize.mean)}."
-            )
-        return [normalize]
-    return [ObservationNormalizer(size)] if normalize else []
+from zfall.modules.symmetric import SymmetricEncoder, SymmetricHead, SymmetricPolicy
+from zfall.modules.trunks import (
+    Activation,
+    Initialization,
+    MemorySteps,
+    check_widths,
+    gru_trunk,
+    hidden_key,
+    mlp_trunk,
+    normalizer,
+)
+from zfall.values import Count, Whole, one_of
 
 
 def mlp_actor(
@@ -152,6 +36,7 @@ def mlp_actor(
     components: Whole = 0,
     initialization: Initialization = "orthogonal",
     normalize: bool = True,
+    symmetric: bool = False,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
     **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
@@ -163,6 +48,7 @@ def mlp_actor(
         activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
         initialization: of these layers, see ``mlp_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
+        symmetric: whether it acts in the mirror as the robot does there, see ``SymmetricPolicy``.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         components: Gaussians per joint, 0 for a plain Gaussian.
         head: ``shared_components``:
@@ -174,13 +60,16 @@ def mlp_actor(
 
     Raises:
         ValueError: on another statistic, activation or initialization, no layer or cell, or a
-            mixture of fixed deviation.
+            mixture of fixed deviation, or over the whole action and symmetric.
     """
-    _check_widths(num_cells)
+    check_widths(num_cells)
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(num_cells[-1], joints, components=components, **head)
     trunk = mlp_trunk(size, num_cells, activation, initialization)
-    net = nn.Sequential(*normalizer(size, normalize), trunk, out)
+    net: nn.Module = nn.Sequential(*normalizer(size, normalize), trunk, out)
+    if symmetric:
+        _check_mirrored(out)
+        net = SymmetricPolicy(net, out.keys, size, joints)
     module = TensorDictModule(net, in_keys=["observation"], out_keys=list(out.keys))
     return _actor(module, out, statistic)
 
@@ -199,6 +88,7 @@ def gru_actor(
     memory_steps: MemorySteps | None = None,
     residual: bool = False,
     normalize: bool = True,
+    symmetric: bool = False,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
     **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
@@ -209,7 +99,8 @@ def gru_actor(
 
     Reads ``observation`` ``(*B, D)``, ``is_init`` and its own hidden state under
     ``recurrent_state_actor`` ``(*B, num_layers, hidden_size)``, whose successor it writes under
-    ``("next", "recurrent_state_actor")``; writes ``action`` ``(*B, J)``.
+    ``("next", "recurrent_state_actor")``; writes ``action`` ``(*B, J)``. If it is symmetric it has
+    a second hidden state, of the mirror, ``recurrent_state_actor_image``.
 
     Args:
         observation_spec, action_spec: of the env.
@@ -226,6 +117,7 @@ def gru_actor(
             they learn a correction of it (He et al., "Deep residual learning for image
             recognition", CVPR 2016).
         normalize: whether observations are centered and scaled by their statistics so far.
+        symmetric: whether it acts in the mirror as the robot does there, see ``symmetric.py``.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         head: as of ``mlp_actor``.
 
@@ -246,16 +138,35 @@ def gru_actor(
         activation=activation,
         memory_steps=memory_steps,
     )
-    modules = [encoder, gru]
-    if residual:
-        added = [gru.out_keys[0], gru.in_keys[0]]
-        modules.append(TensorDictModule(torch.add, in_keys=added, out_keys=added[:1]))
     last: nn.Module = out
     if num_cells:
         last = nn.Sequential(mlp_trunk(hidden_size, num_cells, activation, initialization), out)
-    modules.append(TensorDictModule(last, in_keys=gru.out_keys[:1], out_keys=list(out.keys)))
+    grus = [gru]
+    if symmetric:
+        _check_mirrored(out)
+        names = [
+            f"{key}_image" for key in ("embedding_actor", "features_actor", hidden_key("actor"))
+        ]
+        grus.append(StackedGRU(hidden_size, num_layers, *names))
+        grus[1].gru = gru.gru  # one network, seen twice
+        both = SymmetricEncoder(encoder.module, size)
+        encoder = TensorDictModule(both, ["observation"], [each.in_keys[0] for each in grus])
+        last = SymmetricHead(last, out.keys, joints)
+    modules = [encoder, *grus]
+    if residual:
+        for each in grus:
+            added = [each.out_keys[0], each.in_keys[0]]
+            modules.append(TensorDictModule(torch.add, in_keys=added, out_keys=added[:1]))
+    read = [each.out_keys[0] for each in grus]
+    modules.append(TensorDictModule(last, in_keys=read, out_keys=list(out.keys)))
     module = TensorDictSequential(*modules)
     return _actor(module, out, statistic)
+
+
+def _check_mirrored(head: Head) -> None:
+    """Refuses a mixture over the whole action: which Gaussian is whose image is not known."""
+    if isinstance(head, SharedMixtureHead):
+        raise ValueError("symmetric must be false with shared_components, got true.")
 
 
 def _actor(module: TensorDictModule, head: Head, statistic: str) -> ProbabilisticActor:

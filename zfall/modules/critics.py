@@ -9,7 +9,9 @@ from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import ValueOperator
 
-from zfall.modules.actors import (
+from zfall.modules.normalization import ObservationNormalizer
+from zfall.modules.symmetric import SymmetricValue
+from zfall.modules.trunks import (
     Activation,
     Initialization,
     gru_trunk,
@@ -17,7 +19,6 @@ from zfall.modules.actors import (
     mlp_trunk,
     normalizer,
 )
-from zfall.modules.normalization import ObservationNormalizer
 from zfall.values import Count, Positive
 
 
@@ -59,6 +60,7 @@ def mlp_critic(
     activation: Activation = "elu",
     initialization: Initialization = "orthogonal",
     normalize: bool | Literal["shared"] | ObservationNormalizer = True,
+    symmetric: bool = False,
     scale: Positive = 1.0,
 ) -> ValueOperator:
     """Feed-forward critic: ``observation_critic`` ``(*B, D)`` -> ``state_value`` ``(*B, 1)``.
@@ -70,6 +72,7 @@ def mlp_critic(
         initialization: of these layers, see ``mlp_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far; or
             the normaliser of an actor that sees the same, to be shared.
+        symmetric: whether a state and its mirror image have the same value.
         scale: unit of the values.
 
     Raises:
@@ -77,7 +80,11 @@ def mlp_critic(
     """
     size = _observation_size(observation_spec)
     trunk = mlp_trunk(size, num_cells, activation, initialization)
-    net = nn.Sequential(*normalizer(size, normalize), trunk, ValueHead(num_cells[-1], scale))
+    net: nn.Module = nn.Sequential(
+        *normalizer(size, normalize), trunk, ValueHead(num_cells[-1], scale)
+    )
+    if symmetric:
+        net = SymmetricValue(net, size)
     return ValueOperator(net, in_keys=["observation_critic"])
 
 

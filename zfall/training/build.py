@@ -42,7 +42,21 @@ class Losses:
         return {"loss": self.ppo, **self.auxiliary}
 
 
-def build_critic(cfg: DictConfig, spec: Composite, actor: Any) -> Any:
+def build_actor(cfg: DictConfig, env: TransformedEnv) -> Any:
+    """The policy."""
+    actor = instantiate(cfg.actor, env.observation_spec, env.action_spec)
+    return _told(actor, TaskFacts(env, cfg, "actor"))
+
+
+def _told(network: Any, task: TaskFacts) -> Any:
+    """The network, whose parts with a ``for_task`` know the task."""
+    for part in network.modules():
+        if hasattr(part, "for_task"):
+            part.for_task(task)
+    return network
+
+
+def build_critic(cfg: DictConfig, env: TransformedEnv, actor: Any) -> Any:
     """The critic; with ``normalize: shared`` it has the actor's normaliser.
 
     Raises:
@@ -53,7 +67,8 @@ def build_critic(cfg: DictConfig, spec: Composite, actor: Any) -> Any:
         shared["normalize"] = normalizer_of(actor)
         if shared["normalize"] is None:
             raise ValueError("critic.normalize=shared needs an actor that has a normaliser.")
-    return instantiate(cfg.critic, spec, **shared)
+    critic = instantiate(cfg.critic, env.observation_spec, **shared)
+    return _told(critic, TaskFacts(env, cfg, "critic"))
 
 
 def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) -> Losses:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -62,10 +61,10 @@ class Learner:
         self.worlds = Worlds(cfg.env, cfg.num_envs, cfg.groups, ranks, cfg.alike)
         check_task(self.env, cfg)
         spec = self.env.observation_spec
-        self.actor = instantiate(cfg.actor, spec, self.env.action_spec)
+        self.actor = build.build_actor(cfg, self.env)
         self.transfers.place([self.actor])
         self.average = AveragedModel(self.actor, multi_avg_fn=moving_average(cfg.averaging))
-        self.critic = build.build_critic(cfg, spec, self.actor)
+        self.critic = build.build_critic(cfg, self.env, self.actor)
         self.transfers.place([self.critic])
         self.losses = build.build_losses(cfg, self.env, self.actor, self.critic)
         self.transfers.place([*self.losses.by_place.values(), self.losses.augmentation])

@@ -14,6 +14,7 @@ from zfall.policies import load_policy
 FEW = {"measured": SHIPPED["keys"], "starts": 1}
 
 
+@pytest.mark.long
 def test_what_is_recorded_is_what_happened():
     """Pushes begin in the control step up to 0.52 s, a tenth of them at its end.
 
@@ -42,6 +43,7 @@ def test_what_is_recorded_is_what_happened():
     assert spread == pytest.approx(0.01, rel=0.3)  # as the task says
 
 
+@pytest.mark.long
 def test_a_policy_with_modes_is_recorded_while_it_recovers():
     """Its own rule gives up after pushes that it withstands, which is no fall to learn from."""
     changes = ["transforms.mode.probability=null", "transforms.mode.angular_velocity=0.5"]
