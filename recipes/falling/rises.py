@@ -7,7 +7,7 @@ the back and the sides it is to roll to the belly; from belly and kneel it is to
 found is kept where it is better.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from zfall.commands import shown_path
 from zfall.errors import SPOKEN
-from zfall.values import Count, Name, Names, Positive, Seed
+from zfall.values import Count, Name, Positive, Seed
 
 from ..shell import check_recipe, one_line_errors, start
 
@@ -27,7 +27,7 @@ class Keys(TypedDict):
 
     bank: Name | None
     known: Name | None
-    searched: Names | None
+    searched: Sequence[Name] | None
     candidates: Count
     trials: Count
     elite: Count
