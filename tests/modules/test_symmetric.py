@@ -8,6 +8,7 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.modules import set_recurrent_mode
 
 from zfall.modules.actors import gru_actor, mlp_actor, recurrent_keys
+from zfall.modules.critics import mlp_critic
 from zfall.modules.deployed import DeployedPolicy
 from zfall.modules.mirror import Mirror
 from zfall.modules.symmetric import SymmetricPolicy, SymmetricValue, TaskMirror
@@ -121,6 +122,43 @@ def test_a_policy_with_a_memory_is_symmetric_along_a_sequence(components, residu
         after = actor.get_dist(step)
         torch.testing.assert_close(after.log_prob(action[:, t]), here.log_prob(action)[:, t])
         memory = {key: value for key, value in actor(step)["next"].items() if key in keys}
+
+
+@pytest.mark.parametrize("make", [mlp_actor, gru_actor])
+def test_a_robot_that_prefers_the_other_side_is_its_mirror_image(make):
+    """Both have the same weights; with 0 it prefers none."""
+    mean = {}
+    for preferred in (0.7, -0.7, 0.0):
+        torch.manual_seed(0)
+        actor = told(make(SPEC, Unbounded((1, 2)), symmetric=True, handedness=preferred))
+        for weights in actor.parameters():
+            torch.nn.init.normal_(weights, 0.0, 0.3)
+        x = torch.randn(5, 4)
+        memory = {key: torch.zeros(5, 3, 64) for key in recurrent_keys(actor)}
+        starts = {"is_init": torch.ones(5, 1, dtype=torch.bool), **memory}
+        for name, seen in (("here", x), ("there", SEEN(x))):
+            given = TensorDict({"observation": seen, **starts}, (5,))
+            mean[preferred, name] = actor.get_dist(given).deterministic_sample.detach()
+    torch.testing.assert_close(mean[-0.7, "there"], DONE(mean[0.7, "here"]))
+    torch.testing.assert_close(mean[0.0, "there"], DONE(mean[0.0, "here"]))
+    assert (mean[0.7, "there"] - DONE(mean[0.7, "here"])).abs().max() > 0.01
+
+
+def test_the_value_may_differ_between_the_sides_of_one_who_prefers_one():
+    spec = Composite(observation_critic=Unbounded((1, 4)), batch_size=(1,))
+    x = torch.randn(5, 4)
+    for handedness in (None, 0.0, 1.0):
+        critic = told(mlp_critic(spec, symmetric=True, handedness=handedness))
+        here, there = (
+            critic(TensorDict({"observation_critic": seen}, (5,)))["state_value"]
+            for seen in (x, SEEN(x))
+        )
+        assert torch.allclose(here, there, atol=1e-6) == (not handedness)
+
+
+def test_who_has_no_other_side_prefers_none():
+    with pytest.raises(ValueError, match="handedness must be null unless symmetric is true"):
+        mlp_actor(SPEC, Unbounded((1, 2)), handedness=1.0)
 
 
 def test_a_mixture_over_the_whole_action_is_refused():

@@ -18,11 +18,12 @@ from zfall.modules.trunks import (
     Activation,
     Initialization,
     MemorySteps,
+    check_handedness,
     check_widths,
+    front,
     gru_trunk,
     hidden_key,
     mlp_trunk,
-    normalizer,
 )
 from zfall.values import Count, Whole, one_of
 
@@ -37,6 +38,7 @@ def mlp_actor(
     initialization: Initialization = "orthogonal",
     normalize: bool = True,
     symmetric: bool = False,
+    handedness: float | None = None,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
     **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
@@ -48,7 +50,9 @@ def mlp_actor(
         activation: behind each of them: ``elu``, ``relu`` or ``tanh``.
         initialization: of these layers, see ``mlp_trunk``.
         normalize: whether observations are centered and scaled by their statistics so far.
-        symmetric: whether it acts in the mirror as the robot does there, see ``SymmetricPolicy``.
+        symmetric: whether it acts in the mirror as the robot does there, see ``symmetric.py``.
+        handedness: of a symmetric one, the input by which it may prefer a side; ``None``: there is
+            none, 0: it says nothing.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         components: Gaussians per joint, 0 for a plain Gaussian.
         head: ``shared_components``:
@@ -65,8 +69,10 @@ def mlp_actor(
     check_widths(num_cells)
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head(num_cells[-1], joints, components=components, **head)
-    trunk = mlp_trunk(size, num_cells, activation, initialization)
-    net: nn.Module = nn.Sequential(*normalizer(size, normalize), trunk, out)
+    check_handedness(symmetric, handedness)
+    first, width = front(size, normalize, handedness)
+    trunk = mlp_trunk(width, num_cells, activation, initialization)
+    net: nn.Module = nn.Sequential(*first, trunk, out)
     if symmetric:
         _check_mirrored(out)
         net = SymmetricPolicy(net, out.keys, size, joints)
@@ -89,6 +95,7 @@ def gru_actor(
     residual: bool = False,
     normalize: bool = True,
     symmetric: bool = False,
+    handedness: float | None = None,
     statistic: Annotated[str, one_of("mean", "mode")] = "mean",
     **head: Unpack[HeadValues],
 ) -> ProbabilisticActor:
@@ -118,6 +125,8 @@ def gru_actor(
             recognition", CVPR 2016).
         normalize: whether observations are centered and scaled by their statistics so far.
         symmetric: whether it acts in the mirror as the robot does there, see ``symmetric.py``.
+        handedness: of a symmetric one, the input by which it may prefer a side; ``None``: there is
+            none, 0: it says nothing.
         statistic: what the policy does when it does not explore, ``mean`` or ``mode``.
         head: as of ``mlp_actor``.
 
@@ -126,6 +135,7 @@ def gru_actor(
     """
     size, joints = observation_spec["observation"].shape[-1], action_spec.shape[-1]
     out = make_head([hidden_size, *num_cells][-1], joints, components=components, **head)
+    check_handedness(symmetric, handedness)
     encoder, gru = gru_trunk(
         size,
         hidden_size,
@@ -137,6 +147,7 @@ def gru_actor(
         encoder_cells=encoder_cells,
         activation=activation,
         memory_steps=memory_steps,
+        handedness=handedness,
     )
     last: nn.Module = out
     if num_cells:

@@ -14,10 +14,11 @@ from zfall.modules.symmetric import SymmetricValue
 from zfall.modules.trunks import (
     Activation,
     Initialization,
+    check_handedness,
+    front,
     gru_trunk,
     hidden_key,
     mlp_trunk,
-    normalizer,
 )
 from zfall.values import Count, Positive
 
@@ -61,6 +62,7 @@ def mlp_critic(
     initialization: Initialization = "orthogonal",
     normalize: bool | Literal["shared"] | ObservationNormalizer = True,
     symmetric: bool = False,
+    handedness: float | None = None,
     scale: Positive = 1.0,
 ) -> ValueOperator:
     """Feed-forward critic: ``observation_critic`` ``(*B, D)`` -> ``state_value`` ``(*B, 1)``.
@@ -73,16 +75,17 @@ def mlp_critic(
         normalize: whether observations are centered and scaled by their statistics so far; or
             the normaliser of an actor that sees the same, to be shared.
         symmetric: whether a state and its mirror image have the same value.
+        handedness: as of an actor: with it, they may differ.
         scale: unit of the values.
 
     Raises:
         ValueError: if the env has no such observation.
     """
     size = _observation_size(observation_spec)
-    trunk = mlp_trunk(size, num_cells, activation, initialization)
-    net: nn.Module = nn.Sequential(
-        *normalizer(size, normalize), trunk, ValueHead(num_cells[-1], scale)
-    )
+    check_handedness(symmetric, handedness)
+    first, width = front(size, normalize, handedness)
+    trunk = mlp_trunk(width, num_cells, activation, initialization)
+    net: nn.Module = nn.Sequential(*first, trunk, ValueHead(num_cells[-1], scale))
     if symmetric:
         net = SymmetricValue(net, size)
     return ValueOperator(net, in_keys=["observation_critic"])

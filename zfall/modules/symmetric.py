@@ -6,6 +6,9 @@ sample teaches both sides.
 
 A network with a memory has one of here and one of the mirror, which change places there.
 
+A robot that stands and is pushed straight ahead has no leg to begin with: in its mirror image the
+same has happened, and the same policy does the same with both legs. ``Handed`` lets it prefer one.
+
 Source: van der Pol et al., "MDP homomorphic networks: group symmetries in reinforcement learning",
 NeurIPS 2020; as a mean over the group: Puny et al., "Frame averaging for invariant and equivariant
 network design", ICLR 2022.
@@ -46,6 +49,27 @@ class TaskMirror(Mirror):
         """
         for name, value in task.mirror(self.key).named_buffers():
             getattr(self, name).copy_(value.nan_to_num())
+
+
+class Handed(nn.Module):
+    """Appends an input by which a network may treat the two sides in different ways.
+
+    It is the same number in every state, with the other sign in the mirror. What the network makes
+    of it is up to its weights: of little, it is nearly symmetric. With 0 it is so exactly.
+
+    Args:
+        handedness: that number.
+    """
+
+    def __init__(self, handedness: float):
+        super().__init__()
+        self.handedness = handedness
+
+    def forward(self, both: Tensor) -> Tensor:
+        """``(2, *B, D)``, of here and of the mirror, -> ``(2, *B, D + 1)``."""
+        sides = both.new_tensor([self.handedness, -self.handedness])
+        sides = sides.reshape(2, *[1] * (both.dim() - 1))
+        return torch.cat([both, sides.expand(*both.shape[:-1], 1)], -1)
 
 
 class SymmetricHead(nn.Module):

@@ -10,12 +10,27 @@ from torch import nn
 
 from zfall.modules.gru import StackedGRU
 from zfall.modules.normalization import ObservationNormalizer
+from zfall.modules.symmetric import Handed
 from zfall.values import Rule, one_of
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 Activation = Annotated[str, one_of(*_ACTIVATIONS)]
 Initialization = Annotated[str, one_of("orthogonal", "default")]
 MemorySteps = Annotated[float, Rule("be at least 2 and finite", lambda x: 2 <= x < math.inf)]
+
+
+def front(
+    size: int, normalize: bool | str | ObservationNormalizer, handedness: float | None = None
+) -> tuple[list[nn.Module], int]:
+    """What stands before the first layer, and the width of what it gives.
+
+    Args:
+        size: of the observation.
+        normalize: see ``normalizer``.
+        handedness: of a symmetric network, see ``Handed``; ``None``: it has no such input.
+    """
+    modules = normalizer(size, normalize)
+    return (modules, size) if handedness is None else ([*modules, Handed(handedness)], size + 1)
 
 
 def mlp_trunk(
@@ -60,6 +75,7 @@ def gru_trunk(
     encoder_cells: Sequence[int] = (),
     activation: str = "elu",
     memory_steps: float | None = None,
+    handedness: float | None = None,
 ) -> tuple[TensorDictModule, StackedGRU]:
     """A linear layer and stacked GRU cells: ``in_key`` ``(*B, size)`` -> ``features_ROLE``.
 
@@ -83,7 +99,9 @@ def gru_trunk(
     for name, value in (("hidden_size", hidden_size), ("num_layers", num_layers)):
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value}.")
-    front = [mlp_trunk(size, encoder_cells, activation, initialization)] if encoder_cells else []
+    first, size = front(size, normalize, handedness)
+    if encoder_cells:
+        first.append(mlp_trunk(size, encoder_cells, activation, initialization))
     linear = nn.Linear(encoder_cells[-1] if encoder_cells else size, hidden_size)
     embedding, features, hidden = f"embedding_{role}", f"features_{role}", hidden_key(role)
     gru = StackedGRU(hidden_size, num_layers, embedding, features, hidden)
@@ -100,13 +118,21 @@ def gru_trunk(
                 keeps = values.data[hidden_size : 2 * hidden_size]
                 both = torch.empty_like(keeps).uniform_(1.0, memory_steps - 1.0).log()
                 keeps.copy_(both if "bias_ih" in name else torch.zeros_like(keeps))
-    encoder = nn.Sequential(*normalizer(size, normalize), *front, linear)
+    encoder = nn.Sequential(*first, linear)
     return TensorDictModule(encoder, in_keys=[in_key], out_keys=[embedding]), gru
 
 
 def hidden_key(role: str) -> str:
     """Name of the hidden state of an ``actor`` or a ``critic``."""
     return f"recurrent_state_{role}"
+
+
+def check_handedness(symmetric: bool, handedness: float | None) -> None:
+    """Refuses the input of one side where there is no other."""
+    if handedness is not None and not symmetric:
+        raise ValueError(f"handedness must be null unless symmetric is true, got {handedness}.")
+    if handedness is not None and not math.isfinite(handedness):
+        raise ValueError(f"handedness must be finite, got {handedness}.")
 
 
 def check_widths(num_cells: Sequence[int]) -> None:
