@@ -43,6 +43,7 @@ ALLOWED = (
     "zfall.falling.kneel_reference",
     "zfall.falling.mirrored_falls",
     "zfall.falling.modes",
+    "zfall.falling.rise_reference",
     "zfall.falling.switched.still_actor",
     "zfall.falling.switched.switched_actor",
     "zfall.falling.terms",

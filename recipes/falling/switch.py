@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from zfall.commands import shown_path
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
+from zfall.values import Name
 
 from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
 
@@ -24,6 +25,7 @@ class Keys(TypedDict):
 
     recover: Run
     kneel: Run
+    env: Name
     checkpoint: Checkpoint
     trust: Changes
     change: Changes
@@ -32,7 +34,7 @@ class Keys(TypedDict):
 @hydra.main(version_base=None, config_path=".", config_name="switch")
 @one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
-    """Writes ``checkpoints/last.pt`` with both policies and the env ``push_to_kneel``."""
+    """Writes ``checkpoints/last.pt`` with both policies and the env that switches."""
     with one_line_errors():
         check_recipe(cfg, Keys)
     with one_line_errors(), trusting(cfg.trust):
@@ -40,7 +42,11 @@ def main(cfg: DictConfig) -> None:
         from zfall.falling.switched import switched_checkpoint
 
         content = switched_checkpoint(
-            cfg.recover, cfg.kneel, checkpoint_name=cfg.checkpoint, changes=cfg.change
+            cfg.recover,
+            cfg.kneel,
+            env=cfg.env,
+            checkpoint_name=cfg.checkpoint,
+            changes=cfg.change,
         )
     path = Path(HydraConfig.get().runtime.output_dir) / "checkpoints" / "last.pt"
     path.parent.mkdir(parents=True, exist_ok=True)

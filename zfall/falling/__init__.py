@@ -1,7 +1,8 @@
-"""Recovering, giving up, kneeling: what a robot does when it can no longer stay up.
+"""Recovering, giving up, kneeling, getting up: what a robot does when it can no longer stay up.
 
-A mode machine decides after every step between RECOVER, KNEEL and STABLE. In KNEEL the targets
-follow a movement that catches the fall; a policy may correct it. A small network predicts falls.
+A mode machine decides after every step between RECOVER, KNEEL, STABLE and RISE. In KNEEL the
+targets follow a movement that catches the fall; a policy may correct it. A small network predicts
+falls. In RISE they follow movements that get the robot up from where it lies or kneels.
 
 All of it is written as a user's own extension would be: nothing below this package imports it, and
 the general code finds it where yaml names it.
@@ -17,6 +18,9 @@ the general code finds it where yaml names it.
 | ``switched.py``, ``switched_with.py`` | two policies in one, also for studies |
 | ``recording.py``, ``pushed.py`` | records banks of falls |
 | ``recorded_falls.py``, ``search.py``, ``poses.py`` | searches movements, and poses |
+| ``rise_reference.py``, ``rises.py`` | the way up, and the movements that it goes through |
+| ``lying.py``, ``standing.py`` | how robots lie before they rise, and when they stand |
+| ``rise_search.py`` | searches movements that get up |
 | ``kneel_battery.py``, ``kneeling.py``, ``kneel_outcomes.py``, ``baselines.py`` | tests of it |
 | ``plots.py`` | figures of a trigger |
 | ``files.py``, ``assets/`` | the files that ship |

@@ -1,11 +1,11 @@
-"""Searches movements that catch a fall, by the cross-entropy method.
+"""Searches movements by the cross-entropy method, and those that catch a fall.
 
 Source: Rubinstein, "The cross-entropy method for combinatorial and continuous optimization",
 Methodology and Computing in Applied Probability 1999.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import NamedTuple
@@ -17,18 +17,21 @@ from zfall.errors import check_number
 from zfall.falling.movements import HEADINGS, Catches
 from zfall.falling.recorded_falls import Falls, caught
 
+# How good movements (N, K, J) [rad] are on rows (N,), the higher the better (N,).
+Score = Callable[[Tensor, Tensor], Tensor]
+
 
 @dataclass(frozen=True, kw_only=True)
 class CrossEntropySearch:
-    """Varies the best of many movements, round after round, each tried on a few falls.
+    """Varies the best of many movements, round after round, each tried on a few starts.
 
     Args:
         candidates: movements of a round.
-        trials: falls that each is tried on, other ones in every round.
+        trials: starts that each is tried on, other ones in every round.
         elite: best movements of a round, which are kept and give the next its mean and spread.
         rounds: number of rounds.
         spread: standard deviation of the first round [rad].
-        seed: of the movements and of the falls.
+        seed: of the movements and of the starts.
 
     Raises:
         ValueError: on a number that no search can have.
@@ -48,27 +51,25 @@ class CrossEntropySearch:
         if not 2 <= self.elite <= self.candidates:
             raise ValueError(f"elite must lie in [2, candidates], got {self.elite}.")
 
-    def __call__(self, falls: Falls, rows: Tensor, mean: Tensor, until: Tensor) -> Tensor:
+    def __call__(self, score: Score, rows: Tensor, mean: Tensor, joint_range: Tensor) -> Tensor:
         """The mean of the best movements ``(K, J)`` [rad].
 
         Args:
-            falls: of an env of ``candidates * trials`` worlds.
-            rows: those to be caught.
+            score: of ``candidates * trials`` movements, of which each is tried on its row.
+            rows: starts to be tried, for instance of a bank.
             mean: where the search begins ``(K, J)`` [rad].
-            until: when each posture ends ``(K,)`` [s].
+            joint_range: least and largest angle of each joint ``(J, 2)`` [rad].
         """
         generator = torch.Generator().manual_seed(self.seed)
-        low, high = falls.env.joint_range.unbind(-1)
+        low, high = joint_range.unbind(-1)
         std, kept = torch.full_like(mean, self.spread), mean[None]
         for _ in range(self.rounds):
             noise = torch.randn((self.candidates, *mean.shape), generator=generator)
             moves = (mean + std * noise).clamp(low, high)
             moves[: len(kept)] = kept
             tried = rows[torch.randint(len(rows), (self.trials,), generator=generator)]
-            landing = caught(
-                falls, tried.repeat(self.candidates), moves.repeat_interleave(self.trials, 0), until
-            )
-            best = landing.score.view(self.candidates, self.trials).mean(1).topk(self.elite)
+            each = score(tried.repeat(self.candidates), moves.repeat_interleave(self.trials, 0))
+            best = each.view(self.candidates, self.trials).mean(1).topk(self.elite)
             kept = moves[best.indices]
             mean, std = kept.mean(0), 0.9 * kept.std(0) + 0.02
         return mean
@@ -169,6 +170,10 @@ def improve(
         search: what looks for each of them.
         headings: some of ``HEADINGS`` [degrees].
     """
+
+    def score(rows: Tensor, moves: Tensor) -> Tensor:
+        return caught(falls, rows, moves, catches.until).score
+
     edges = [0.0, *catches.speeds.tolist(), math.inf]
     for heading, (j, (low, high)) in product(headings, enumerate(pairwise(edges))):
         rows, place = falls.like(heading, low, high), (HEADINGS.index(heading), j)
@@ -176,7 +181,7 @@ def improve(
         if len(rows) >= search.trials:
             known = catches.postures[place]
             before = _outcome(falls, rows, known, catches.until)
-            move = search(falls, rows, known, catches.until)
+            move = search(score, rows, known, falls.env.joint_range)
             after = _outcome(falls, rows, move, catches.until)
             attempt = attempt._replace(before=before, after=after)
             if attempt.better:

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Composite
 
 from zfall import checkpoint
-from zfall.configs import compose_config
+from zfall.configs import compose_config, options_of
 from zfall.envs.make import build_transform, left_out
 from zfall.envs.tables import INTERFACE, changed, check_same_interface
 from zfall.modules.actors import recurrent_keys
@@ -111,13 +111,19 @@ def still_actor(observation_spec: Composite, action_spec: Composite) -> StillAct
 
 
 def switched_checkpoint(
-    recover: str, kneel: str, *, checkpoint_name: str = "last", changes: Sequence[str] = ()
+    recover: str,
+    kneel: str,
+    *,
+    env: str = "push_to_kneel",
+    checkpoint_name: str = "last",
+    changes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The content of a checkpoint with both policies, in the env ``push_to_kneel``.
+    """The content of a checkpoint with both policies, in an env whose modes switch.
 
     Args:
         recover: run folder of a policy that recovers, or the name of one that ships.
         kneel: likewise of a policy that kneels, or ``script``.
+        env: its name in ``recipes/env``.
         checkpoint_name: of the run folders, ``last``, ``best``, or a stage of both that is over.
         changes: values of the env to replace, ``["transforms.mode.probability=0.9"]``.
 
@@ -131,14 +137,14 @@ def switched_checkpoint(
     }
     configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
     check_same_interface(configs)
-    env_cfg = changed(_switched_env(configs, runs), changes)
-    env = instantiate(env_cfg, base_env={"num_envs": 1})
-    spec, action_spec = env.observation_spec, env.action_spec
+    env_cfg = changed(_switched_env(configs, runs, env), changes)
+    made = instantiate(env_cfg, base_env={"num_envs": 1})
+    spec, action_spec = made.observation_spec, made.action_spec
     actors = []
     for name, part in parts.items():
         with checkpoint.reading(Path(runs[name])):
             actor = instantiate(configs[name].actor, spec, action_spec)
-            checkpoint.check_fits(part, identity_of(env.base_env.robot), actor, Path(runs[name]))
+            checkpoint.check_fits(part, identity_of(made.base_env.robot), actor, Path(runs[name]))
             actor.load_state_dict(part["policy"])
         actors.append(actor)
     actor_cfg = {"_target_": "zfall.falling.switched.switched_actor", "_recursive_": False}
@@ -158,9 +164,15 @@ def switched_checkpoint(
     }
 
 
-def _switched_env(configs: Mapping[str, DictConfig], runs: Mapping[str, str]) -> DictConfig:
-    """The env ``push_to_kneel`` with what the policies need of their own."""
-    env_cfg = compose_config(["env=push_to_kneel", "num_envs=1"]).env
+def _switched_env(
+    configs: Mapping[str, DictConfig], runs: Mapping[str, str], name: str
+) -> DictConfig:
+    """The env of this name with what the policies need of their own."""
+    if name not in options_of("env"):
+        raise ValueError(f"env must be one of {', '.join(options_of('env'))}, got {name!r}.")
+    env_cfg = compose_config([f"env={name}", "num_envs=1"]).env
+    if env_cfg.transforms.get("mode") is None:
+        raise ValueError(f"env must have a mode machine, as push_to_kneel has, got {name}.")
     OmegaConf.set_struct(env_cfg, False)  # changes may bring keys that it does not name
     last = configs["kneel" if "kneel" in configs else "recover"].env
     env_cfg.base_env = last.base_env

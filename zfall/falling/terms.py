@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from zfall.envs.terms.falls import body_contact
 from zfall.robots import GRAVITY, Robot
 from zfall.rotations import tilt
 from zfall.values import (
@@ -23,7 +24,9 @@ from zfall.values import (
     Rule,
 )
 
-Mode = Annotated[int, Rule("be 0 (recover), 1 (kneel) or 2 (stable)", lambda x: x in (0, 1, 2))]
+Mode = Annotated[
+    int, Rule("be 0 (recover), 1 (kneel), 2 (stable) or 3 (rise)", lambda x: x in (0, 1, 2, 3))
+]
 Regions = Annotated[Names, NamesOf("regions, of both sides", lambda robot: _regions(robot))]
 
 
@@ -64,13 +67,31 @@ def resting_kneel(
     Reads ``contact_force_peak`` [N], ``base_orientation``, ``base_linear_velocity`` [m/s],
     ``base_angular_velocity`` and ``joint_velocity`` [rad/s]. Returns ``(*B, 1)`` bool.
     """
-    slow = next_td["base_linear_velocity"].norm(dim=-1) < speed
-    slow &= next_td["base_angular_velocity"].norm(dim=-1) < speed
-    slow &= next_td["joint_velocity"].abs().amax(-1) < joint_speed
+    slow = _slow(next_td, speed, joint_speed)
     upright = tilt(next_td["base_orientation"]) < angle
     down = touching(next_td, robot, *robot.kneel_regions)
     off = ~touching(next_td, robot, "torso", "head")
     return (slow & upright)[..., None] & down & off
+
+
+def lying_still(
+    td: TensorDictBase, next_td: TensorDictBase, *, speed: float = 0.1, joint_speed: float = 0.1
+) -> Tensor:
+    """Whether the robot rests on anything but its feet alone, lying or kneeling.
+
+    It rests if the base is slower than ``speed`` [m/s and rad/s] and all joints are slower than
+    ``joint_speed`` [rad/s].
+
+    Reads ``contact_force_peak`` [N], ``base_linear_velocity`` [m/s], ``base_angular_velocity`` and
+    ``joint_velocity`` [rad/s]. Returns ``(*B, 1)`` bool.
+    """
+    return _slow(next_td, speed, joint_speed)[..., None] & body_contact(td, next_td)
+
+
+def _slow(td: TensorDictBase, speed: float, joint_speed: float) -> Tensor:
+    slow = td["base_linear_velocity"].norm(dim=-1) < speed
+    slow &= td["base_angular_velocity"].norm(dim=-1) < speed
+    return slow & (td["joint_velocity"].abs().amax(-1) < joint_speed)
 
 
 def in_mode(

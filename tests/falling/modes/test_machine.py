@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from zfall.falling.modes import (
     KNEEL,
     RECOVER,
+    RISE,
     STABLE,
     ModeMachine,
     ModeRule,
@@ -19,7 +20,7 @@ from zfall.falling.modes import (
 )
 
 
-def reference(danger, resting, standing, hold, rest, back) -> list[int]:
+def reference(danger, resting, standing, hold, rest, back, rise) -> list[int]:
     """One world, as the report words it: so many frames in a row, never back unless asked for."""
     mode, modes, run, calm = RECOVER, [], 0, 0
     for bad, still, up in zip(danger, resting, standing, strict=True):
@@ -28,10 +29,13 @@ def reference(danger, resting, standing, hold, rest, back) -> list[int]:
             if run == hold:
                 mode, run, calm = KNEEL, 0, 0
         else:
-            run = run + 1 if still and mode == KNEEL else 0
+            rests = mode == KNEEL or (mode == STABLE and rise is not None)
+            run = run + 1 if still and rests else 0
             calm = calm + 1 if up else 0
-            if run == rest:
+            if mode == KNEEL and run == rest:
                 mode, run, calm = STABLE, 0, 0
+            elif mode == STABLE and run == rise:
+                mode, run, calm = RISE, 0, 0
             elif back is not None and calm >= back:
                 mode, run, calm = RECOVER, 0, 0
         modes.append(mode)
@@ -44,14 +48,15 @@ def reference(danger, resting, standing, hold, rest, back) -> list[int]:
     st.integers(1, 6),
     st.integers(1, 6),
     st.one_of(st.none(), st.integers(1, 6)),
+    st.one_of(st.none(), st.integers(1, 6)),
     st.floats(0.5, 0.95),
 )
-def test_histories_of_many_worlds_equal_those_of_single_ones(seed, hold, rest, back, often):
+def test_histories_of_many_worlds_equal_those_of_single_ones(seed, hold, rest, back, rise, often):
     generator = torch.Generator().manual_seed(seed)
     conditions = torch.rand(3, 60, 8, generator=generator) < often
-    modes = modes_over(ModeRule(hold=hold, rest=rest, back=back), *conditions)
+    modes = modes_over(ModeRule(hold=hold, rest=rest, back=back, rise=rise), *conditions)
     for world in range(8):
-        alone = reference(*conditions[:, :, world].tolist(), hold, rest, back)
+        alone = reference(*conditions[:, :, world].tolist(), hold, rest, back, rise)
         assert modes[:, world].tolist() == alone
 
 
@@ -135,6 +140,28 @@ def test_the_way_back_must_be_asked_for(make_base):
         assert play(ModeMachine(env, initial="kneel", back=back), env, [up] * 5)[-1] == [end]
 
 
+@pytest.mark.parametrize(("lean", "knee"), [(0.2, True), (1.5, True)])
+def test_what_rests_on_a_knee_or_lies_gets_up_and_then_recovers(make_base, lean, knee):
+    """At 25 Hz: 0.2 s at rest until STABLE are 5 steps, 0.12 s until RISE 3, 0.2 s standing 5."""
+    env = make_base(num_envs=1)
+    machine = ModeMachine(env, rest=0.2, rise=0.12, back=0.2, initial="kneel")
+    down, up = ([lean], [0.0], [knee]), ([0.1], [0.0], [False])
+    modes = [m[0] for m in play(machine, env, [*[down] * 10, *[up] * 4, down, *[up] * 6])]
+    assert modes[:10] == [*[KNEEL] * 4, *[STABLE] * 3, *[RISE] * 3]
+    assert modes[10:] == [*[RISE] * 9, *[RECOVER] * 2]  # only the second time it stands long enough
+
+
+def test_only_a_machine_that_rises_has_a_fourth_mode(make_base):
+    env = make_base(num_envs=2)
+    for values, width in (({}, 3), ({"rise": 0.2, "back": 0.5}, 4)):
+        machine = ModeMachine(env, **values)
+        td = machine._reset(TensorDict(batch_size=[2]), TensorDict(batch_size=[2]))
+        assert td["mode"].tolist() == [[1.0] + [0.0] * (width - 1)] * 2
+        assert machine.mirror_signs["mode"] == (1.0,) * width
+        spec = machine.transform_observation_spec(env.observation_spec.clone())
+        assert spec["mode"].shape == (2, width)
+
+
 def test_a_reset_touches_its_rows_alone(make_base):
     env = make_base(num_envs=3)
     machine = ModeMachine(env, hold=0.4)
@@ -180,6 +207,9 @@ def test_a_predicted_fall_takes_the_place_of_the_bounds(make_base):
         ({"angle": -0.1}, "angle must be positive"),
         ({"initial": "fall"}, "initial must be one of recover, kneel, stable, got 'fall'"),
         ({"probability": 1.5}, "probability must lie in"),
+        ({"initial": "rise"}, "initial must be one of recover, kneel, stable, got 'rise'"),
+        ({"rise": 0.2}, "back must be a time where there is rise"),
+        ({"rise": -1.0, "back": 0.5}, "rise must be positive"),
     ],
 )
 def test_bad_values_are_refused(make_base, values, message):

@@ -1,4 +1,4 @@
-"""The mode machine: recover, kneel, stable."""
+"""The mode machine: recover, kneel, stable and, where the table says so, rise."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
-from zfall.falling.terms import resting_kneel
+from zfall.falling.terms import lying_still, resting_kneel
 from zfall.rotations import tilt
 from zfall.values import Fraction, NotNegativeOrInfinite, Positive, PositiveOrInfinite, one_of
 
-MODES = ("recover", "kneel", "stable")
-RECOVER, KNEEL, STABLE = range(3)
+MODES = ("recover", "kneel", "stable", "rise")
+RECOVER, KNEEL, STABLE, RISE = range(4)
 
 
 class ModeState(NamedTuple):
     """The state of a machine, integer tensors of one shape.
 
     Attributes:
-        mode: ``RECOVER``, ``KNEEL`` or ``STABLE``.
+        mode: ``RECOVER``, ``KNEEL``, ``STABLE`` or ``RISE``.
         ahead: steps in a row for which the condition of the next mode has been true.
         back: likewise for the condition that leads back to RECOVER.
     """
@@ -39,12 +39,13 @@ class ModeState(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ModeRule:
-    """RECOVER -> KNEEL -> STABLE, each after a condition was true for some steps in a row.
+    """RECOVER -> KNEEL -> STABLE -> RISE, each after a condition was true for some steps in a row.
 
     Args:
         hold: steps in danger from RECOVER to KNEEL.
-        rest: steps at rest on a knee from KNEEL to STABLE.
-        back: steps of standing from either back to RECOVER; ``None``: there is no way back.
+        rest: steps at rest from KNEEL to STABLE.
+        back: steps of standing from any back to RECOVER; ``None``: there is no way back.
+        rise: steps at rest from STABLE to RISE; ``None``: it never rises.
 
     Raises:
         ValueError: if one of them is not at least 1.
@@ -53,9 +54,10 @@ class ModeRule:
     hold: int
     rest: int
     back: int | None = None
+    rise: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("hold", "rest", "back"):
+        for name in ("hold", "rest", "back", "rise"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} must be at least one step, got {value}.")
@@ -70,13 +72,15 @@ class ModeRule:
     ) -> ModeState:
         """The state after a step with these conditions, bool tensors of the state's shape."""
         mode, ahead, back = state
-        condition = torch.where(mode == RECOVER, danger, resting & (mode == KNEEL))
+        rests = mode == KNEEL if self.rise is None else (mode == KNEEL) | (mode == STABLE)
+        condition = torch.where(mode == RECOVER, danger, resting & rests)
         ahead = torch.where(condition, ahead + 1, 0)
-        go = ahead >= torch.where(mode == RECOVER, self.hold, self.rest)
+        steps = mode.new_tensor([self.hold, self.rest, self.rise or 1, 1])
+        go = condition & (ahead >= steps[mode])
         back = torch.where(standing & (mode != RECOVER), back + 1, 0)
-        rise = torch.zeros_like(go) if self.back is None else (back >= self.back) & ~go
-        mode = torch.where(rise, RECOVER, mode + go.long())
-        changed = go | rise
+        stands = torch.zeros_like(go) if self.back is None else (back >= self.back) & ~go
+        mode = torch.where(stands, RECOVER, mode + go.long())
+        changed = go | stands
         return ModeState(mode, torch.where(changed, 0, ahead), torch.where(changed, 0, back))
 
 
@@ -95,7 +99,7 @@ def modes_over(rule: ModeRule, danger: Tensor, resting: Tensor, standing: Tensor
 
 
 class ModeMachine(Transform):
-    """Goes from RECOVER to KNEEL when a fall is near, and to STABLE when the robot rests.
+    """Goes from RECOVER to KNEEL when a fall is near, to STABLE at rest, and to RISE to get up.
 
     Danger is a tilt above ``angle`` or an angular velocity above ``angular_velocity``. With
     ``probability`` it is a predicted fall instead; this needs a ``FallPredictor`` earlier in the
@@ -103,9 +107,13 @@ class ModeMachine(Transform):
     wide bounds, and ``StableHold`` then stops the joints. The way back to RECOVER is standing: no
     danger of either kind, and no contact but the feet's.
 
+    With ``rise`` there is a fourth mode, in which a ``RiseReference`` gets the robot up. Rest is
+    then any posture in which the robot moves as little as in a ``resting_kneel``, lying as well.
+
     Keys: reads ``base_orientation``, ``base_angular_velocity`` [rad/s], ``contact_force_peak``
     [N], what ``resting_kneel`` reads, and ``fall_probability`` ``(N, 1)`` if there is a
-    ``probability``; writes ``mode`` ``(N, 3)``, one-hot: recover, kneel, stable.
+    ``probability``; writes ``mode`` ``(N, 3)``, one-hot: recover, kneel, stable; with ``rise``
+    ``(N, 4)``, the last one rise.
 
     Args:
         env: the base env.
@@ -113,23 +121,24 @@ class ModeMachine(Transform):
         angular_velocity: of the base, its norm [rad/s].
         hold: time for which danger must last [s]. This and the other times are rounded to
             control steps, at least one, halves to the even number: 0.5 s at 25 Hz are 12.
-        rest: time of rest that makes a kneel stable [s].
+        rest: time of rest from KNEEL to STABLE [s].
         rest_speed: of the base at rest, at most [m/s and rad/s].
         rest_joint_speed: of every joint at rest, at most [rad/s].
         back: time of standing after which it recovers again [s]; ``None``: there is no way back.
+        rise: time of rest in STABLE after which it gets up [s]; needs ``back``; ``None``: never.
         probability: bound of ``fall_probability`` that replaces the two above; ``None``: they
             count.
         initial: mode at the beginning of an episode.
 
     Raises:
-        ValueError: on a bound or time that is not positive, or an unknown mode.
+        ValueError: on a bound or time that is not positive, an unknown mode, or ``rise`` without
+            ``back``.
 
     Source: report of the Zeroth-01 project, its mode machine (0.5 rad, 10 frames at 50 Hz), and
     its design notes (2 rad/s).
     """
 
-    mirror_signs: ClassVar[Mapping[str, tuple[float, ...]]] = {"mode": (1.0, 1.0, 1.0)}
-    units: ClassVar[Mapping[str, str]] = {"mode": "0 or 1: recover, kneel, stable"}
+    units: ClassVar[Mapping[str, str]] = {"mode": "0 or 1: recover, kneel, stable, perhaps rise"}
 
     ahead: Tensor
     behind: Tensor
@@ -145,16 +154,21 @@ class ModeMachine(Transform):
         rest_speed: PositiveOrInfinite = 0.1,
         rest_joint_speed: PositiveOrInfinite = 0.1,
         back: Positive | None = None,
+        rise: Positive | None = None,
         probability: Fraction | None = None,
         initial: Annotated[str, one_of(*MODES)] = "recover",
     ):
         super().__init__(in_keys=["base_orientation"], out_keys=["mode"])
         needs_env(self, env, "a memory of each world")
-        if initial not in MODES:
-            raise ValueError(f"initial must be one of {', '.join(MODES)}, got {initial!r}.")
+        self.modes = MODES if rise is not None else MODES[:RISE]
+        if initial not in self.modes:
+            raise ValueError(f"initial must be one of {', '.join(self.modes)}, got {initial!r}.")
+        if rise is not None and back is None:
+            raise ValueError("back must be a time where there is rise, got null.")
         if probability is not None and not 0 < probability < 1:
             raise ValueError(f"probability must lie in (0, 1), got {probability}.")
-        times = {"hold": hold, "rest": rest} | ({} if back is None else {"back": back})
+        given = {"hold": hold, "rest": rest, "back": back, "rise": rise}
+        times = {name: time for name, time in given.items() if time is not None}
         bounds = {"angle": angle, "angular_velocity": angular_velocity}
         rests = {"rest_speed": rest_speed, "rest_joint_speed": rest_joint_speed}
         for name, value in (bounds | times | rests).items():
@@ -166,6 +180,8 @@ class ModeMachine(Transform):
         self._resting = partial(
             resting_kneel, robot=env.robot, speed=rest_speed, joint_speed=rest_joint_speed
         )
+        self._still = partial(lying_still, speed=rest_speed, joint_speed=rest_joint_speed)
+        self.mirror_signs = {"mode": (1.0,) * len(self.modes)}
         self.initial = MODES.index(initial)
         for name in ("ahead", "behind"):
             self.register_buffer(name, torch.zeros(env.num_envs, dtype=torch.long))
@@ -180,8 +196,10 @@ class ModeMachine(Transform):
             danger = next_tensordict["fall_probability"].squeeze(-1) > self.probability
             calm &= ~danger
         resting = self._resting(tensordict, next_tensordict).squeeze(-1)
+        if self.rule.rise is not None:
+            resting |= self._still(tensordict, next_tensordict).squeeze(-1)
         mode, self.ahead, self.behind = self.rule.advance(state, danger, resting, calm)
-        return next_tensordict.set("mode", one_hot(mode))
+        return next_tensordict.set("mode", one_hot(mode, len(self.modes)))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -190,7 +208,7 @@ class ModeMachine(Transform):
         self.ahead = torch.where(rows, 0, self.ahead)
         self.behind = torch.where(rows, 0, self.behind)
         mode = torch.full((len(rows),), self.initial)
-        return tensordict_reset.set("mode", one_hot(mode))
+        return tensordict_reset.set("mode", one_hot(mode, len(self.modes)))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         base_env_of(self)
@@ -199,10 +217,10 @@ class ModeMachine(Transform):
                 "probability must be null without a FallPredictor earlier in the table, "
                 f"got {self.probability}."
             )
-        observation_spec["mode"] = Unbounded((*observation_spec.shape, len(MODES)))
+        observation_spec["mode"] = Unbounded((*observation_spec.shape, len(self.modes)))
         return observation_spec
 
 
-def one_hot(mode: Tensor) -> Tensor:
-    """Modes ``(N,)`` as rows ``(N, 3)``, float32."""
-    return torch.nn.functional.one_hot(mode, len(MODES)).float()
+def one_hot(mode: Tensor, modes: int = RISE) -> Tensor:
+    """Modes ``(N,)`` as rows ``(N, modes)``, float32; the three first ones by themselves."""
+    return torch.nn.functional.one_hot(mode, modes).float()
