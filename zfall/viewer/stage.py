@@ -82,7 +82,7 @@ def viewpoint(count: int, aspect: float) -> tuple[Array, Array]:
     """
     half = math.tan(FIELD / 2)
     free = aspect if aspect < PHONE else NEXT_TO_PANEL * aspect
-    away = max(1.3, (SPACING * (count - 1) / 2 + ARMS) / (half * free))
+    away = max(1.6, (SPACING * (count - 1) / 2 + ARMS) / (half * free))
     height = 0.35 + 0.3 * away
     position = np.array([away, 0.0, height])
     if aspect >= PHONE:
