@@ -45,7 +45,7 @@ ON = ("noise", "delay")  # transforms that stay on by themselves, where there ar
 @hydra.main(version_base=None, config_path=".", config_name="trigger")
 @one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
-    """Writes ``fall_network.pt``, ``trigger.csv``, ``trigger.md`` and figures."""
+    """Writes ``fall_network.pt``, ``trigger.csv``, ``trigger.md``, ``reliability.csv``, figures."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     with one_line_errors():
         check_recipe(cfg, Keys)
@@ -58,7 +58,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.writers import markdown
         from zfall.falling import trigger
         from zfall.falling.fall_network import save_fall_network
-        from zfall.falling.plots import reliability_plot, trigger_plot
+        from zfall.falling.plots import reliability_plot, reliability_table, trigger_plot
         from zfall.terminal import Sheet, print_sheet
 
         console = Console()
@@ -87,12 +87,13 @@ def main(cfg: DictConfig) -> None:
     rows = trigger.comparison(test, probability, control_dt)
     rows.to_csv(folder / "trigger.csv", index=False)
     (folder / "trigger.md").write_text(markdown(rows))
-    said, seen = probability[test.live].numpy(), truth[test.live].numpy()
+    sure = reliability_table(probability[test.live].numpy(), truth[test.live].numpy())
+    sure.to_csv(folder / "reliability.csv", index=False)
     for ending in ("png", "pdf"):
-        reliability_plot(said, seen, folder / f"reliability.{ending}")
+        reliability_plot(sure, folder / f"reliability.{ending}")
         trigger_plot(rows, folder / f"trigger.{ending}")
     print_sheet(Sheet(rows, file=str(folder / "trigger.md")), console)
-    written = "fall_network.pt, trigger.csv, trigger.md, reliability, trigger"
+    written = "fall_network.pt, trigger.csv, trigger.md, reliability.csv, reliability, trigger"
     console.print(f"wrote {shown_path(folder)}/{written}", soft_wrap=True)
 
 

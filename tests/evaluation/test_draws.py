@@ -88,12 +88,37 @@ def test_the_plot_shows_success_of_the_thirds_and_what_explains_most_on_top(tmp_
     assert shown == ["latency", "friction"]
     assert axes.yaxis_inverted()
     found = success_by_draw(table)
-    bars, *thirds = axes.collections
-    for part, drawn in zip(("low", "middle", "high"), thirds, strict=True):
+    bars, thirds = axes.collections[::2], axes.collections[1::2]
+    for part, drawn, interval in zip(("low", "middle", "high"), thirds, bars, strict=True):
         np.testing.assert_allclose(drawn.get_offsets()[:, 0], 100 * found[part])
         # Latency explains, friction does not.
         assert drawn.get_facecolor()[:, 3].tolist() == [1.0, 0.3]
-    assert len(bars.get_segments()) == 2
+        for share, n, segment in zip(
+            found[part], found[f"n_{part}"], interval.get_segments(), strict=True
+        ):
+            # Wilson's interval in closed form, z = 1.96.
+            z, middle = 1.959964, (share + 1.959964**2 / (2 * n)) / (1 + 1.959964**2 / n)
+            half = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2) / (1 + z**2 / n)
+            np.testing.assert_allclose(
+                segment[:, 0] / 100, [middle - half, middle + half], atol=1e-6
+            )
+
+
+def test_the_plot_shows_the_five_that_explain_most_and_counts_the_others(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **settings: figures.append(self))
+    rows = [
+        {"parameter": f"x{k}", "smallest": 0.0, "largest": 1.0, "low": 0.5, "middle": 0.4,
+         "high": 0.3, "p": 10.0 ** (k - 6), "n_low": 20, "n_middle": 20, "n_high": 20}
+        for k in range(7)
+    ]  # fmt: skip
+    for last in (1.0, 0.04):
+        rows[5]["p"] = last
+        thirds_plot(pd.DataFrame(rows), tmp_path / "draws.png", title="mine")
+    for figure, words in zip(figures, ("no effect", "smaller effects or none"), strict=True):
+        (axes,) = figure.axes
+        assert len(axes.get_yticklabels()) == 5
+        assert axes.get_xlabel().endswith(f"\n2 others: {words}")
 
 
 def test_the_plot_names_ranges_with_their_units_and_cuts_off_no_mark(tmp_path, monkeypatch):
@@ -102,12 +127,13 @@ def test_the_plot_names_ranges_with_their_units_and_cuts_off_no_mark(tmp_path, m
     columns = {"parameter": ["command_latency", "foot_friction"], "smallest": [0.012, 0.4]}
     shares = {"low": [0.52, 0.5], "middle": [0.5, 0.5], "high": [0.44, 0.5]}
     table = pd.DataFrame({**columns, "largest": [0.036, 1.2], **shares, "p": [0.001, 0.9]})
+    table = table.assign(n_low=900, n_middle=900, n_high=900)
     thirds_plot(table, tmp_path / "draws.png", title="mine")
     (axes,) = figures[0].axes
-    texts = [label.get_text().split("  ")[0] for label in axes.get_yticklabels()]
+    texts = [label.get_text().replace("\n", " ") for label in axes.get_yticklabels()]
     assert texts == ["command latency, 0.012 to 0.036 s", "foot friction, 0.4 to 1.2"]
     low, high = axes.get_xlim()
-    assert low < 44 - 3
+    assert low < 44 - 3  # Wilson's interval goes on for 3.2 %
     assert high > 52 + 3
 
 

@@ -48,14 +48,14 @@ def test_who_goes_down_as_meant_is_not_said_to_fall(monkeypatch):
     rows = [[STANDS] * 5, [DOWN, RESTS, DOWN, STANDS, ENDS], [RESTS, RESTS, DOWN, STANDS, STANDS],
             [RESTS, DOWN, DOWN, STANDS, STANDS]]  # fmt: skip
     out = followed(monkeypatch, rows)
-    assert [words for _, words, _ in out.said(0, 0.4)] == ["rested after 0.3 s"]
+    assert [words for _, words, _ in out.said(0, 0.4)] == ["rested {when}"]
     assert [words for _, words, _ in out.said(1, 0.4)] == [
-        "rested after 0.2 s", "fell after 0.4 s"
+        "rested {when}", "fell {when}"
     ]  # fmt: skip
     assert [good for _, _, good in out.said(1, 0.4)] == [True, False]
-    assert [words for _, words, _ in out.said(2, 0.4)] == ["fell after 0.2 s"]
+    assert [words for _, words, _ in out.said(2, 0.4)] == ["fell {when}"]
     assert [words for _, words, _ in out.said(3, 0.4)] == ["stays up"]
-    assert [words for _, words, _ in out.said(4, 0.4)] == ["task ended after 0.2 s"]
+    assert [words for _, words, _ in out.said(4, 0.4)] == ["task ended {when}"]
     assert [words for _, words, _ in out.said(4, 0.4, task=False)] == ["stays up"]
     assert out.reached["rested"].tolist() == [True, False, False, False, False]
     assert out.fell.tolist() == [True, True, True, False, False]
@@ -64,10 +64,10 @@ def test_who_goes_down_as_meant_is_not_said_to_fall(monkeypatch):
 
 def test_without_followers_whoever_touches_the_floor_fell(monkeypatch):
     out = followed(monkeypatch, [[DOWN], [RESTS], [RESTS]], followers=())
-    assert [words for _, words, _ in out.said(0, 0.3)] == ["fell after 0.1 s"]
+    assert [words for _, words, _ in out.said(0, 0.3)] == ["fell {when}"]
 
 
 def test_a_film_says_stays_up_only_of_who_does():
     assert said(math.nan, 10.0) == [(8.5, "stays up", True)]
-    assert said(3.2, 10.0) == [(3.2, "fell after 3.2 s", False)]
-    assert said(5.0, 10.0, ended=3.0) == [(3.0, "task ended after 3.0 s", False)]
+    assert said(3.2, 10.0) == [(3.2, "fell {when}", False)]
+    assert said(5.0, 10.0, ended=3.0) == [(3.0, "task ended {when}", False)]

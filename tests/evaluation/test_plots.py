@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import (
@@ -72,8 +73,13 @@ def test_a_reference_beyond_the_map_is_not_named(tmp_path, monkeypatch):
     angle = np.linspace(0, 2 * np.pi, 20)
     lines = [Reference("in", angle, np.linspace(0.4, 2, 20)), Reference("out", angle, angle + 0.5)]
     success_map(trials, tmp_path / "map.png", title="test", lines=lines)
-    names = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
-    assert names == ["I50", "in"]
+    names = [text.get_text() for text in drawn[0].legends[0].get_texts()]
+    assert names == [
+        "I50",
+        "in",
+        "not tested, I < 0.1",
+        "none recovered from\nI = 0.3 to 0.4, not drawn",
+    ]
 
 
 def test_learning_curves_are_drawn(tmp_path):
@@ -148,12 +154,13 @@ def test_sixteen_lines_of_a_plot_all_differ_also_without_colour(tmp_path, monkey
         assert len({(line.get_linestyle(), line.get_marker()) for line in lines}) == 16
 
 
-def test_an_envelope_names_policies_under_each_plot_and_references_once(tmp_path, monkeypatch):
+def test_an_envelope_shows_other_robots_only_where_these_were_pushed(tmp_path, monkeypatch):
+    """Panels in one row; the pendulum in all, iCub and Atalante in that of the pelvis."""
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
     rows = [
         {"body": body, "direction_rad": d, "largest": size}
-        for body, size in (("torso", 0.5), ("chest", 0.25))
+        for body, size in (("torso", 0.5), ("pelvis", 0.25))
         for d in np.arange(0, 2 * np.pi, np.pi / 6)
     ]
     lines = references(ZEROTH01, 0.1)
@@ -163,6 +170,37 @@ def test_an_envelope_names_policies_under_each_plot_and_references_once(tmp_path
     assert named == [["mine: mean 0.50"], ["mine: mean 0.25"]]
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [line.name for line in lines]
+    shown = [{str(line.get_label()) for line in axes.lines} for axes in figure.axes]
+    assert shown[1] - shown[0] == {"mine: mean 0.25", "iCub", "Atalante"}
+    figure.draw_without_rendering()
+    left, right = (axes.get_position() for axes in figure.axes)
+    assert left.x1 < right.x0
+    assert left.y0 == pytest.approx(right.y0)
+
+
+def test_polar_plots_fit_a_slide_with_type_of_at_least_12_points(tmp_path, monkeypatch):
+    """Scaled into 13.3 x 7.5 inch; nothing lies over anything else, and the plot is landscape."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kwargs: drawn.append(figure))
+    trials = pd.DataFrame(
+        [{"direction_rad": d, "impulse": i, "recovered": i < 0.3} for d in (0.0, 1.0) for i in (0.1, 0.2, 0.3, 0.9)]
+    )  # fmt: skip
+    lines = references(ZEROTH01, 0.1)
+    title = "mine: battery planar\n" + "words of the second line " * 6
+    success_map(trials, tmp_path / "a.png", title=title, baseline=trials, lines=lines)
+    overlay({"mine": trials, "other": trials}, tmp_path / "b.png", title=title, lines=lines)
+    profiles_plot({"mine": trials, "other": trials}, tmp_path / "c.png", title=title)
+    for figure in drawn:
+        figure.draw_without_rendering()
+        wide, high = figure.get_size_inches()
+        assert wide > high
+        scale = min(13.3 / wide, 7.5 / high)
+        texts = [text for text in figure.findobj(Text) if text.get_text().strip()]
+        assert min(text.get_fontsize() for text in texts) * scale > 12
+        (legend,) = figure.legends
+        box = legend.get_window_extent()
+        assert not any(box.overlaps(axes.get_tightbbox()) for axes in figure.axes)
+        assert box.x1 <= figure.bbox.x1 + 1
 
 
 def test_the_same_curves_give_the_same_pdf(tmp_path, monkeypatch):

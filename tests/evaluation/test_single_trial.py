@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 from rich.console import Console
 
 from zfall.evaluation import single_trial
@@ -27,7 +28,7 @@ def test_runs_whose_folders_have_the_same_name_are_drawn_apart(tmp_path, monkeyp
         "direction_rad": 0.0,
         "body": "torso",
     }
-    replay = Replay(row, rows, [(3.0, 3.1)], np.zeros(0), np.zeros(0), None)
+    replay = Replay(row, rows, [(3.0, 3.1)], np.zeros(0), np.zeros(0), None, 5.0, {})
     monkeypatch.setattr(single_trial, "run_trial", lambda *_, **__: replay)
     monkeypatch.setattr(
         single_trial,
@@ -59,7 +60,7 @@ def test_pushes_of_a_trial_are_those_of_its_plan(compose_config):
 
 
 def test_a_film_of_a_trial_names_it_and_goes_as_slow_as_asked(tmp_path, monkeypatch):
-    """A fall 0.2 s after the push of 0.5 s is called one from 0.7 s on."""
+    """A fall 0.2 s after the push of 0.5 s is called one from 0.7 s on, what led to it before."""
     filmed = []
     monkeypatch.setattr(
         single_trial, "film", lambda model, rows, columns, *_, **kw: filmed.append((columns, kw))
@@ -71,17 +72,20 @@ def test_a_film_of_a_trial_names_it_and_goes_as_slow_as_asked(tmp_path, monkeypa
     )
     env = SimpleNamespace(control_dt=0.04, camera=SimpleNamespace(model=None))
     log = SimpleNamespace(frames=lambda ends: None)
-    replay = Replay(row, seconds, [(0.5, 0.6)], np.zeros((1, 1, 7)), log, env)
+    replay = Replay(
+        row, seconds, [(0.5, 0.6)], np.zeros((1, 1, 7)), log, env, 5.0, {"gives up": 0.6}
+    )
     monkeypatch.setattr(single_trial, "run_trial", lambda *_, **__: replay)
     given = {"seed": 0, "joint": "left_hip_pitch", "video": True, "slow": 0.25}
-    candidates = [Candidate("mine", None, None)]
+    candidates = [Candidate("mine", OmegaConf.create({"base_env": {}}), None)]
     console = Console(quiet=True)
     where = {"mine": tmp_path}
     show_trial(load_battery("kneel"), 7, candidates, where, tmp_path, console, **given)
     ((columns, settings),) = filmed
-    assert columns == ["trial 7"]
+    assert columns == ["trial 7 of kneel; published servos, nominal world"]
     assert settings["slow"] == 0.25
-    assert settings["outcomes"] == {"mine": [[(pytest.approx(0.7), "fell", False)]]}
+    (said,) = settings["outcomes"]["mine"]
+    assert said == [(0.6, "gives up {when}", None), (pytest.approx(0.7), "fell {when}", False)]
 
 
 def test_a_trial_is_said_in_one_line():

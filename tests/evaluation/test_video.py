@@ -1,6 +1,7 @@
 """Films, where OpenGL is to be had."""
 
 import math
+from types import SimpleNamespace
 
 import imageio.v2 as imageio
 import mujoco
@@ -70,9 +71,9 @@ def test_a_push_is_named_by_its_plan_and_side_and_marked_for_a_second():
     pushed = steps_of_a_push().frames(range(1, 51))
     marks = push_marks(pushed, 0, np.zeros(50), 0.04)
     assert [t for t, mark in enumerate(marks) if mark] == list(range(10, 35))
-    assert marks[10].label == "I = 0.4: 20 N for 0.1 s from the right"
+    assert marks[10].label == "I = 0.40: 20 N for 0.1 s from the right"
     turned = push_marks(pushed, 0, np.full(50, math.pi / 2), 0.04)
-    assert turned[10].label == "I = 0.4: 20 N for 0.1 s from behind"
+    assert turned[10].label == "I = 0.40: 20 N for 0.1 s from behind"
 
 
 def test_frames_longer_than_the_push_show_its_size_and_not_their_mean():
@@ -80,7 +81,7 @@ def test_frames_longer_than_the_push_show_its_size_and_not_their_mean():
     pushed = steps_of_a_push().frames([10, 20, 30, 40, 50])
     assert pushed.force[1, 0] == pytest.approx([0.0, 5.0, 0.0])
     mark = push_marks(pushed, 0, np.zeros(5), 0.4)[1]
-    assert mark.label == "I = 0.4: 20 N for 0.1 s from the right"
+    assert mark.label == "I = 0.40: 20 N for 0.1 s from the right"
     assert mark.force == pytest.approx([0.0, 20.0, 0.0])
 
 
@@ -88,6 +89,59 @@ def test_an_env_without_pushes_has_no_marks():
     log = PushLog(2)
     log.add(TensorDict({}, []))
     assert push_marks(log.frames([1]), 1, np.zeros(1), 0.04) == [None]
+
+
+def test_a_film_tells_times_since_the_last_push_before():
+    fell = [(2.9, "fell {when}", False)]
+    assert outcome_at(fell, 3.0, None, [0.8, 2.4]) == ("fell 0.5 s after the push", False)
+    assert outcome_at(fell, 3.0, None, [0.8, 2.95]) == ("fell 2.1 s after the push", False)
+    assert outcome_at(fell, 3.0, None, []) == ("fell after 2.9 s", False)
+
+
+def filmed(monkeypatch, tmp_path, rows=("a",), **given):
+    """Clocks, pushes and outcomes of the tiles of a film without OpenGL, and arrows' pictures."""
+    texts, arrows, count = [], [], 50
+    model = mujoco.MjModel.from_xml_path(ZEROTH01.mjcf)
+    states = np.tile(model.key("stand").qpos, (count, 1, 1))
+    picture = np.zeros((120, 160, 3), np.uint8)
+    renderer = SimpleNamespace(
+        update_scene=lambda *_, **__: None,
+        scene=SimpleNamespace(flags=np.zeros(20)),
+        render=lambda: picture,
+        close=lambda: None,
+    )
+    monkeypatch.setattr(video, "make_renderer", lambda *_: renderer)
+    monkeypatch.setattr(video, "draw_arrow", lambda *_: arrows.append(len(texts)))
+    monkeypatch.setattr(video, "write_on", lambda picture, **said: texts.append(said) or picture)
+    pushed = steps_of_a_push().frames(range(1, count + 1))
+    path = tmp_path / "film.mp4"
+    states = dict.fromkeys(rows, states)
+    video.film(model, states, ["one"], pushed, path, dt=0.04, tile=(160, 120), **given)
+    return texts, arrows
+
+
+def test_the_clock_shows_the_time_of_the_state_in_the_picture(monkeypatch, tmp_path):
+    """States follow their control steps, so that the first one is that of 0.04 s."""
+    texts, _ = filmed(monkeypatch, tmp_path)
+    assert [text["clock"] for text in texts[:2]] == ["0.04 s", "0.08 s"]
+    assert texts[-1]["clock"] == "2.00 s"
+    assert filmed(monkeypatch, tmp_path, start=0.01)[0][1]["clock"] == "0.05 s"
+    slow, _ = filmed(monkeypatch, tmp_path, slow=0.5)
+    assert [text["clock"] for text in slow[:3]] == ["0.04 s  x0.5", "0.06 s  x0.5", "0.08 s  x0.5"]
+    assert slow[-1]["clock"] == "2.00 s  x0.5"  # the last state stays
+
+
+def test_a_push_is_named_once_and_no_arrow_points_at_who_lies(monkeypatch, tmp_path):
+    """The push begins at 0.4 s; b falls at 0.6 s, 0.2 s after it, a stays up."""
+    said = {"a": [[]], "b": [[(0.6, "fell {when}", False)]]}
+    names = []
+    monkeypatch.setattr(video, "write_push", lambda picture, name: names.append(name) or picture)
+    texts, arrows = filmed(monkeypatch, tmp_path, ("a", "b"), outcomes=said)
+    assert {text["push"] for text in texts} == {""}  # over both, as they stand abreast
+    assert set(names) == {"I = 0.40: 20 N for 0.1 s from the right"}
+    assert [number for number in arrows if number % 2 == 0] == list(range(20, 70, 2))
+    assert [number for number in arrows if number % 2] == list(range(21, 29, 2))  # until 0.56 s
+    assert texts[-1]["outcome"] == ("fell 0.2 s after the push", False)
 
 
 def test_an_outcome_is_said_from_its_time_on():

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from zfall.falling.plots import reliability_plot, trigger_plot
+from zfall.falling.plots import reliability_plot, reliability_table, trigger_plot
 
 
 @pytest.fixture
@@ -27,18 +27,24 @@ def covered(figure: Figure) -> bool:
 
 
 def test_rules_differ_by_how_long_they_hold_in_marks_and_colours(drawn, tmp_path):
-    rows = [("network", p, 0.2, share) for p, share in (("0.9", 0.1), ("0.5", 0.5))]
+    rows = [("network", p, 1.0, 0.2, share) for p, share in (("0.9", 0.1), ("0.5", 0.5))]
     rows += [
-        ("rule", f"{a} rad, 2 rad/s, {hold} s", 0.1, 0.3)
+        ("rule", f"{a} rad, 2 rad/s, {hold} s", a + hold, 0.1, 0.3)
         for hold in (0.04, 0.2)
         for a in (0.3, 0.5)
     ]
-    columns = ("trigger", "setting", "lead_s", "false_alarms")
+    columns = ("trigger", "setting", "detected", "lead_s", "false_alarms")
     trigger_plot(pd.DataFrame(rows, columns=columns), tmp_path / "trigger.png")
     (figure,) = drawn
     network, *rules = figure.axes[0].lines
     assert np.asarray(network.get_xdata()) == pytest.approx([10.0, 50.0])  # sorted, in percent
-    assert [line.get_label() for line in rules] == ["rule, for 0.04 s", "rule, for 0.2 s"]
+    assert network.get_label() == "network, detects 100 % of the falls"
+    assert [line.get_label() for line in rules] == [
+        "rule, for 0.04 s, detects 34 to 54 % of the falls",
+        "rule, for 0.2 s, detects 50 to 70 % of the falls",
+    ]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["p > 0.9", "p > 0.5"]
+    assert figure.axes[0].get_ylim()[0] == figure.axes[0].get_xlim()[0] == 0.0
     lines = [network, *rules]
     assert len({line.get_color() for line in lines}) == len({x.get_marker() for x in lines}) == 3
     assert not covered(figure)
@@ -48,8 +54,11 @@ def test_a_calibrated_prediction_lies_on_the_diagonal(drawn, tmp_path):
     """Of predictions of 0.25 a quarter falls, of 0.75 three quarters."""
     probability = np.repeat(np.float32([0.25, 0.75]), 40)
     truth = np.tile(np.float32([1, 0, 0, 0]), 10), np.tile(np.float32([1, 1, 1, 0]), 10)
-    reliability_plot(probability, np.concatenate(truth), tmp_path / "r.png")
+    table = reliability_table(probability, np.concatenate(truth))
+    assert table["steps"].tolist() == [40, 40]
+    reliability_plot(table, tmp_path / "r.png")
     (figure,) = drawn
+    assert [text.get_text() for text in figure.axes[0].texts] == ["40", "40"]
     _, line = figure.axes[0].lines
     assert np.asarray(line.get_xydata()) == pytest.approx(np.array([[0.25] * 2, [0.75] * 2]))
     assert figure.axes[0].get_aspect() == 1.0

@@ -123,8 +123,8 @@ def push_marks(
         way = forces[largest] / max(1e-6, float(np.linalg.norm(forces[largest])))
         toward = math.atan2(way[1], way[0]) - headings[begin]
         side = _SIDES[round(toward / (math.pi / 4)) % 8]
-        size = f"I = {pushed.size[most, world]:.3g}"
-        label = f"{size}: {peak:.0f} N for {impulse / peak:.2g} s {side}"
+        size = f"I = {pushed.size[most, world]:.2f}"
+        label = f"{size}: {peak:.{0 if peak >= 9.5 else 1}f} N for {impulse / peak:.2g} s {side}"
         last = max(end, begin + math.ceil(MARKED / dt))
         for t in range(begin, min(last, len(forces))):
             marks[t] = Mark(peak * way, label, (t - begin) * dt)
@@ -137,7 +137,7 @@ def write_on(
     title: str,
     clock: str = "",
     push: str = "",
-    outcome: tuple[str, bool] | None = None,
+    outcome: tuple[str, bool | None] | None = None,
 ) -> NDArray[np.uint8]:
     """A picture with its title, the time, what pushes and what came of it.
 
@@ -146,7 +146,7 @@ def write_on(
         title: at the upper left; a second line is smaller.
         clock: at the upper right.
         push: in a box below.
-        outcome: at the lower left; and whether it is good.
+        outcome: below, and whether it is good; ``None``: neither, as a decision.
     """
     image = Image.fromarray(picture)
     draw, (width, height) = ImageDraw.Draw(image), image.size
@@ -160,7 +160,17 @@ def write_on(
         _box(draw, (width / 2, height - 2.6 * size), push, FALL, size, width)
     if outcome:
         text, good = outcome
-        _box(draw, (width / 2, height - 1.1 * size), text, GOOD if good else FALL, size, width)
+        color = DARK if good is None else GOOD if good else FALL
+        _box(draw, (width / 2, height - 1.1 * size), text, color, size, width)
+    return np.asarray(image)
+
+
+def write_push(picture: NDArray[np.uint8], push: str) -> NDArray[np.uint8]:
+    """A picture of several robots with what pushes all of them, where ``write_on`` has it."""
+    image = Image.fromarray(picture)
+    draw, (width, height) = ImageDraw.Draw(image), image.size
+    size = max(9, height // 22)
+    _box(draw, (width / 2, height - 2.6 * size), push, FALL, size, width)
     return np.asarray(image)
 
 
@@ -191,13 +201,34 @@ def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 
 def outcome_at(
-    outcomes: Sequence[tuple[float, str, bool]], time: float, mark: Mark | None = None
-) -> tuple[str, bool] | None:
+    outcomes: Sequence[tuple[float, str, bool | None]],
+    time: float,
+    mark: Mark | None = None,
+    begins: Sequence[float] = (),
+) -> tuple[str, bool | None] | None:
     """The last of ``(time [s], words, whether it is good)`` that has come by a time.
 
-    None that is good in the first half second of a push, which is not over then.
+    ``{when}`` in its words becomes the time since the last push before it began, see ``when``. None
+    that is good in the first half second of a push, which is not over then.
+
+    Args:
+        outcomes: of a world, in the order of their times.
+        time: of the picture [s].
+        mark: of the push that is marked on it, if one is.
+        begins: when pushes begin [s].
     """
-    come = [(words, good) for begin, words, good in outcomes if begin <= time + 1e-6]
-    if come and come[-1][1] and mark is not None and mark.age < OPEN:
+    come = [each for each in outcomes if each[0] <= time + 1e-6]
+    if not come:
         return None
-    return come[-1] if come else None
+    moment, words, good = come[-1]
+    if good and mark is not None and mark.age < OPEN:
+        return None
+    return words.format(when=when(moment, begins)), good
+
+
+def when(moment: float, begins: Sequence[float]) -> str:
+    """A moment in words, from the begin of the last push before it; without one from the start."""
+    before = [begin for begin in begins if begin <= moment + 1e-6]
+    if not before:
+        return f"after {moment:.1f} s"
+    return f"{moment - before[-1]:.1f} s after the push"

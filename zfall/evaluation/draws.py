@@ -71,7 +71,8 @@ def success_by_draw(trials: pd.DataFrame) -> pd.DataFrame:
     share recovered in the thirds of the trials with the ``low``, ``middle`` and ``high`` values;
     ``p`` of a chi-squared test that the thirds do not differ. The smallest p comes first. Of many
     parameters that explain nothing, one in twenty has a p below 0.05. A third is empty, and its
-    share NaN, where many trials have the same value: delays are whole physics steps.
+    share NaN, where many trials have the same value: delays are whole physics steps. ``n_low``,
+    ``n_middle``, ``n_high``: how many trials each has.
     """
     pushed, rows = trials[trials["impulse"] > 0], []
     for name in [name for name in map(str, trials) if name.startswith(COLUMN)]:
@@ -89,6 +90,7 @@ def success_by_draw(trials: pd.DataFrame) -> pd.DataFrame:
                 "largest": float(drawn.max()),
                 **dict(zip(PARTS, _shares(good, of), strict=True)),
                 "p": _chance(good, of),
+                **{f"n_{third}": int(n) for third, n in zip(PARTS, of, strict=True)},
             }
         )
     table = pd.DataFrame(rows)

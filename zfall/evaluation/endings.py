@@ -70,7 +70,7 @@ class Endings:
             task: whether it matters that the task ended it before it fell.
         """
         changes = [
-            (time, f"{name if has[world] else 'fell'} after {time:.1f} s", bool(has[world]))
+            (time, f"{name if has[world] else 'fell'} {{when}}", bool(has[world]))
             for time, name, changed, has in self._changes
             if changed[world]
         ]
@@ -88,7 +88,7 @@ def said(fall_time: float, end: float, *, ended: float = math.nan) -> Outcomes:
         ended: when the task ended it otherwise, before any fall [s]; NaN if it did not.
     """
     if not math.isnan(ended):
-        return [(ended, f"task ended after {ended:.1f} s", False)]
+        return [(ended, "task ended {when}", False)]
     if math.isnan(fall_time):
         return [(max(0.0, end - 1.5), "stays up", True)]
-    return [(fall_time, f"fell after {fall_time:.1f} s", False)]
+    return [(fall_time, "fell {when}", False)]

@@ -53,7 +53,9 @@ class Follower(Protocol):
     It may also have a static method ``summary(trials)``, which takes the finished trials with all
     columns and returns what ``summary.json`` says of its own; a data frame among that is also
     written as a table of its name, which the report shows. And a static method
-    ``figures(trials, folder, title)``, which draws into a folder and returns the files' names.
+    ``figures(trials, folder, title)``, which draws into a folder and returns the files' names. And
+    a static method ``remarks(td)``: words by what is true of which worlds ``(N,)`` bool after a
+    control step; a film of a trial says them from when on they first are.
 
     Attributes:
         outcomes: which of its columns are outcomes, true or false: they stand next to

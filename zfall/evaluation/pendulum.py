@@ -23,11 +23,15 @@ CAPTION = (
 
 @dataclass(frozen=True)
 class Reference:
-    """A line of a polar plot: ``angle`` [rad] and dimensionless ``impulse`` of its points."""
+    """A line of a polar plot: ``angle`` [rad] and dimensionless ``impulse`` of its points.
+
+    ``point``: where the robot was pushed; ``None`` of a bound that knows no such place.
+    """
 
     name: str
     angle: Array
     impulse: Array
+    point: str | None = None
 
 
 def duration_factor(duration: float, com_height: float) -> float:
@@ -115,6 +119,6 @@ def references(robot: Robot, duration: float) -> list[Reference]:
             around,
             np.full_like(around, endless_stepping_bound(robot, duration)),
         ),
-        Reference("iCub", around, np.full_like(around, ICUB * longer)),
-        Reference("Atalante", sagittal, np.full_like(sagittal, ATALANTE * longer)),
+        Reference("iCub", around, np.full_like(around, ICUB * longer), "pelvis"),
+        Reference("Atalante", sagittal, np.full_like(sagittal, ATALANTE * longer), "pelvis"),
     ]

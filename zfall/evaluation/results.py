@@ -1,7 +1,7 @@
 """What a battery found of a policy, and the files in which it is kept."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +13,7 @@ from rich.console import Console
 from zfall.evaluation.comparison import compare
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.followers import followers_of
+from zfall.evaluation.headings import count, heading
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.pendulum import Reference, references
 from zfall.evaluation.plots import learning_curves
@@ -39,6 +40,7 @@ class Result:
         background: trials of ``pose_hold`` to be drawn with the policy's, if there are any.
         tables: of the battery's measures, by name.
         referenced: whether polar plots show the lines of a pendulum and of other robots.
+        surroundings: servos and world, as figures say them.
     """
 
     battery: Battery
@@ -48,12 +50,23 @@ class Result:
     summary: dict[str, Any]
     background: pd.DataFrame | None = None
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
-    referenced: bool = True
+    referenced: bool = False
+    surroundings: str = ""
 
     @property
     def lines(self) -> list[Reference]:
         """What polar plots compare with."""
         return references(self.robot, self.battery.durations[0]) if self.referenced else []
+
+    def heading(self, counted: str, *, of: str = "") -> str:
+        """Two lines over a figure, see ``headings.heading``.
+
+        Args:
+            counted: how many trials are behind a value.
+            of: what is shown; empty: the policy's name.
+        """
+        where = self.surroundings
+        return heading(of or self.name, self.battery, self.robot, where, counted)
 
 
 def result_of(
@@ -64,7 +77,8 @@ def result_of(
     background: pd.DataFrame | None = None,
     known: Mapping[str, Any] = NOTHING,
     *,
-    referenced: bool = True,
+    referenced: bool = False,
+    surroundings: str = "",
 ) -> Result:
     """The result of these trials, summed up as the battery's kind and measures do.
 
@@ -76,6 +90,7 @@ def result_of(
         background: those of ``pose_hold``.
         known: what the summary says in addition.
         referenced: whether polar plots have reference lines.
+        surroundings: servos and world, as figures say them.
     """
     summary, tables = kind_of(battery).summary(battery, trials) | dict(known), {}
     for follower in followers_of(battery):
@@ -85,7 +100,8 @@ def result_of(
             if isinstance(value, pd.DataFrame):
                 tables[key], value = value, value.to_dict("records")
             summary[key] = value
-    return Result(battery, name, robot, trials, summary, background, tables, referenced)
+    plain: dict[str, Any] = {"referenced": referenced, "surroundings": surroundings}
+    return Result(battery, name, robot, trials, summary, background, tables, **plain)
 
 
 def write_results(
@@ -105,7 +121,7 @@ def write_results(
     written = kind_of(result.battery).write(result, folder)
     for name, table in result.tables.items():
         written.files += write_table(folder, name, table)
-    title = f"{result.name}, {folder.name.replace('_', ' ')}"
+    title = result.heading(count(result.trials, (), "pushed trials"))
     for follower in followers_of(result.battery):
         if hasattr(follower, "figures"):
             written.files += follower.figures(result.trials, folder, title)
@@ -130,7 +146,7 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
         paired[figure] = [summaries[name][figure] for name in paired["run"]]
     files = write_table(folder, "comparison", paired)
     labelled = dict(zip(labels(list(results)), results.values(), strict=True))
-    written = kind_of(battery).compare(labelled, folder)
+    written = kind_of(battery).compare(_told_apart(labelled), folder)
     trained = {
         label: read_table(path)
         for label, name in zip(labelled, results, strict=True)
@@ -144,6 +160,17 @@ def write_comparison(results: Mapping[str, Result], folder: Path, console: Conso
     named = paired.assign(run=list(labelled))
     print_sheet(Sheet(named, file=str(folder / "comparison.csv")), console)
     _print_files(folder, files + written.files, console)
+
+
+def _told_apart(results: Mapping[str, Result]) -> dict[str, Result]:
+    """The same, but labels say what differs in servos or worlds, and headings the rest."""
+    words = {label: each.surroundings.split(", ") for label, each in results.items()}
+    common = [word for word in next(iter(words.values())) if all(word in x for x in words.values())]
+    told = {}
+    for label, each in results.items():
+        own = ", ".join(word for word in words[label] if word not in common)
+        told[f"{label} ({own})" if own else label] = replace(each, surroundings=", ".join(common))
+    return told
 
 
 def _is_figure(key: str, value: Any) -> bool:

@@ -21,9 +21,10 @@ from zfall.evaluation.candidate import (
     write_trials,
 )
 from zfall.evaluation.definitions import Battery, load_battery
+from zfall.evaluation.headings import surroundings
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.plans import plan_trials
-from zfall.evaluation.results import Result, result_of, write_results
+from zfall.evaluation.results import Result, labels, result_of, write_results
 from zfall.policies.load import Policy
 from zfall.terminal import progress_bar
 from zfall.trust import trusting
@@ -91,7 +92,10 @@ def evaluate(
     given = given.of_size(candidate.robot)
     trials = trials_of(given, candidate, seed=seed, num_envs=num_envs, console=console)
     known = candidate.known(given)
-    return result_of(given, candidate.label, candidate.robot, trials, known=known)
+    where = surroundings(candidate.env_cfg, given, candidate.kept)
+    return result_of(
+        given, candidate.label, candidate.robot, trials, known=known, surroundings=where
+    )
 
 
 def trials_of(
@@ -181,7 +185,7 @@ def run_or_read(
     num_envs: int,
     console: Console,
     read: bool = False,
-    referenced: bool = True,
+    referenced: bool = False,
     shell: Sequence[str] | None = None,
 ) -> Result:
     """All trials of a battery, and its files; goes on where an interrupted call stopped.
@@ -198,11 +202,13 @@ def run_or_read(
         shell: what the shell gave to the recipe besides the run, which the summary keeps.
     """
     battery = battery.of_size(candidate.robot)
-    known, plain = candidate.known(battery), {"referenced": referenced}
+    known, (name,) = candidate.known(battery), labels([candidate.name])
+    where = surroundings(candidate.env_cfg, battery, candidate.kept)
+    plain: dict[str, Any] = {"referenced": referenced, "surroundings": where}
     conditions = candidate.conditions(battery, seed=seed)
     if read and (done := read_trials(folder / "trials.csv", conditions)) is not None:
         console.print(f"{battery.name} of {candidate.name}: read from {folder}/trials.csv")
-        return result_of(battery, candidate.label, candidate.robot, done, None, known, **plain)
+        return result_of(battery, name, candidate.robot, done, None, known, **plain)
     only = left_out(OmegaConf.select(candidate.env_cfg, "training_only", default={}))
     gone = ", ".join(dict.fromkeys([*only, *starts_and_pushes(candidate.env_cfg)]))
     console.print(
@@ -213,16 +219,14 @@ def run_or_read(
     background = None
     behind = kind_of(battery).background(battery)
     if behind is not None and candidate.actor is not None:
-        still, name = candidate.still(), "pose_hold, to compare with"
-        given |= {"label": name, "conditions": conditions}
+        still = candidate.still()
+        given |= {"label": "pose_hold, to compare with", "conditions": conditions}
         kept = None if kind_of(behind).independent else folder  # a chunk is soon run again
         background = trials_of(behind, still, folder=kept, **given)
     write_trials(folder / "trials.csv", trials, conditions)
     remove_trials(folder / "trials.partial.csv")
     shutil.rmtree(folder / "rounds", ignore_errors=True)
-    result = result_of(
-        battery, candidate.label, candidate.robot, trials, background, known, **plain
-    )
+    result = result_of(battery, name, candidate.robot, trials, background, known, **plain)
     write_results(result, folder, console, shell)
     return result
 

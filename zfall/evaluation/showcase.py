@@ -19,9 +19,9 @@ from zfall.evaluation.captions import Pushed, PushLog
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.endings import Endings
 from zfall.evaluation.followers import followers_of
+from zfall.evaluation.headings import heading, surroundings
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.kinds.planar import success_by_size
-from zfall.evaluation.pendulum import references
 from zfall.evaluation.plots import learning_curves, success_map
 from zfall.evaluation.report import write_report
 from zfall.evaluation.run_files import read_table
@@ -88,9 +88,9 @@ def show(
     }
     write_summary(folder, summaries)
     learning_curves(read_table(folder / "metrics.csv"), plots / "learning_curves.png")
-    title = f"share recovered, short {battery.name}"
-    lines = references(robot_of(cfg.env), battery.durations[0])
-    success_map(after, plots / f"{battery.name}.png", title=title, baseline=baseline, lines=lines)
+    where, counted = surroundings(cfg.env, battery), f"{battery.starts} per direction and size"
+    title = heading("trained", battery, robot_of(cfg.env), where, counted)
+    success_map(after, plots / f"{battery.name}.png", title=title, baseline=baseline)
     print_sheet(success_by_size(summaries), console)
     if cfg.showcase.video:
         with console.status("video"):
@@ -119,10 +119,11 @@ def video(
         film(
             base.camera.model,
             {name: each.states[:, shown] for name, each in recorded.items()},
-            [f"pushed {side}" for side in FILMED],
+            [f"pushed {side}; {surroundings(env_cfg, battery)}" for side in FILMED],
             recorded["trained"].pushed.of(shown),
             path,
             dt=frame(base),
+            start=base.control_dt,
             outcomes={name: [each.outcomes[i] for i in shown] for name, each in recorded.items()},
             shadows=False,  # which take most of the time where no graphics card draws
         )

@@ -16,7 +16,8 @@ from zfall.evaluation.battery import battery_env, run_battery
 from zfall.evaluation.candidate import Candidate
 from zfall.evaluation.captions import PushLog
 from zfall.evaluation.definitions import Battery
-from zfall.evaluation.followers import outcome_names
+from zfall.evaluation.followers import followers_of, outcome_names
+from zfall.evaluation.headings import surroundings
 from zfall.evaluation.plans import Pushes, plan_pushes
 from zfall.evaluation.plots import trace_plot
 from zfall.evaluation.results import labels
@@ -35,6 +36,8 @@ class Replay:
         states: positions ``(T, 1, nq)`` in MuJoCo's order.
         log: what pushed it, step by step.
         env: its base env.
+        limit: largest torque of the joint that is drawn [N m].
+        remarks: when which of the followers' ``remarks`` was first true [s].
     """
 
     row: dict[Hashable, Any]
@@ -43,6 +46,8 @@ class Replay:
     states: NDArray[np.float64]
     log: PushLog
     env: HumanoidEnv
+    limit: float
+    remarks: Mapping[str, float]
 
 
 def show_trial(
@@ -81,6 +86,7 @@ def show_trial(
     """
     traces: dict[str, pd.DataFrame] = {}
     pushes: list[tuple[float, float]] = []
+    limits: list[float] = []
     for each in candidates:
         replay = run_trial(battery, each, trial, seed=seed, joint=joint)
         place = folders[each.name]
@@ -94,14 +100,18 @@ def show_trial(
         if video:
             outcome = outcome_of(replay.row, outcome_names(battery))
             path = place / f"trial_{trial}.mp4"
-            _film(replay, each.label, f"trial {trial}", outcome, path, console, slow=slow)
+            where = surroundings(each.env_cfg, battery, each.kept)
+            name = f"trial {trial} of {battery.name}; {where}"
+            _film(replay, labels([each.name])[0], name, outcome, path, console, slow=slow)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[each.name] = replay.traces.rename(columns=renamed)
         pushes += [push for push in replay.pushes if push not in pushes]
+        limits.append(replay.limit)
     traces = dict(zip(labels(list(traces)), traces.values(), strict=True))
+    limit = limits[0] if len(set(limits)) == 1 else None  # others have other servos
     for ending in ("png", "pdf"):
         path = folder / f"trial_{trial}_{joint}.{ending}"
-        trace_plot(traces, path, joint=joint, pushes=pushes)
+        trace_plot(traces, path, joint=joint, pushes=pushes, limit=limit)
         console.print(f"wrote {path}", soft_wrap=True)
 
 
@@ -116,13 +126,18 @@ def run_trial(
     states: list[NDArray[np.float64]] = []
     signals: list[NDArray[np.float32]] = []
     env = battery_env(battery, candidate.env_cfg, 1)[0].base_env
-    joints, log = env.robot.joints, PushLog(1)
+    joints, log, remarks = env.robot.joints, PushLog(1), dict[str, float]()
+    remarking = [each.remarks for each in followers_of(battery) if hasattr(each, "remarks")]
     if joint not in joints:
         raise ValueError(f"joint must be one of {', '.join(joints)}, got {joint}.")
 
     def watch(base: HumanoidEnv, td: TensorDictBase) -> None:
         states.append(base.simulation.qpos[:1].numpy().copy())
         log.add(td)
+        for said in remarking:
+            for words, which in said(td).items():
+                if which[0]:
+                    remarks.setdefault(words, len(states) * env.control_dt)
         keys = ("target", "joint_position", "joint_torque")
         signals.append(np.concatenate([td[key][0].numpy() for key in keys]))
 
@@ -139,7 +154,9 @@ def run_trial(
     traces = pd.DataFrame(np.stack(signals), columns=names)
     traces.insert(0, "time_s", env.control_dt * (1 + np.arange(len(traces))))
     pushes = _times(plan_pushes(battery, pd.DataFrame([row])), traces["time_s"].iloc[-1])
-    return Replay(row, traces, pushes, np.stack(states), log, env)
+    servo = env.camera.model.actuator(joint)
+    limit = float(servo.forcerange[1])
+    return Replay(row, traces, pushes, np.stack(states), log, env, limit, remarks)
 
 
 def _times(pushes: Pushes, end: float) -> list[tuple[float, float]]:
@@ -166,7 +183,11 @@ def _film(
     begin = max(0.0, length - 1.5)
     if outcome == "fell" and np.isfinite(fall := float(replay.row["time_to_fall_s"])):
         begin = replay.pushes[0][0] + fall if replay.pushes else fall
-    said = (begin, outcome, outcome not in ("fell", "stands bent"))
+        outcome += " {when}"
+    said: list[tuple[float, str, bool | None]] = [
+        (time, f"{words} {{when}}", None) for words, time in replay.remarks.items()
+    ]
+    said.append((begin, outcome, not outcome.startswith(("fell", "stands bent"))))
     try:
         film(
             env.camera.model,
@@ -176,7 +197,7 @@ def _film(
             path,
             dt=frame(env),
             slow=slow,
-            outcomes={label: [[said]]},
+            outcomes={label: [sorted(said, key=lambda each: each[0])]},
         )
         console.print(f"wrote {path}", soft_wrap=True)
     except RuntimeError as error:

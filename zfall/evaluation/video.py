@@ -12,10 +12,19 @@ from numpy.typing import NDArray
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.rendering import make_renderer, place
-from zfall.evaluation.captions import MARKED, Mark, Pushed, outcome_at, push_marks, write_on
+from zfall.evaluation.captions import (
+    MARKED,
+    Mark,
+    Pushed,
+    outcome_at,
+    push_marks,
+    write_on,
+    write_push,
+)
 
 RATE = 25.0  # least pictures per second
-Outcomes = Sequence[tuple[float, str, bool]]  # time [s], words, whether it is good
+# Time [s], words, whether it is good, or neither. {when} in the words is the time since the push.
+Outcomes = Sequence[tuple[float, str, bool | None]]
 
 
 def film(
@@ -26,6 +35,7 @@ def film(
     path: Path,
     *,
     dt: float,
+    start: float | None = None,
     tile: tuple[int, int] = (640, 480),
     slow: float = 1.0,
     outcomes: Mapping[str, Sequence[Outcomes]] | None = None,
@@ -34,8 +44,9 @@ def film(
 ) -> None:
     """Writes an mp4 of a grid: one row per policy, one column per push.
 
-    A single row of more than two columns takes two lines. An arrow and a line of text mark a
-    push for a second. A clock runs in the upper right corner.
+    A single row of more than two columns takes two lines, a single column of two rows one line. An
+    arrow marks a push for a second, but on no robot that has fallen; a line of text names it once,
+    as the first row's robot sees it. A clock runs in the upper right corner.
 
     Args:
         model: of what is shown, as ``env.camera.model``.
@@ -44,6 +55,7 @@ def film(
         pushed: what pushes each column, over the T times.
         path: file to write.
         dt: time between two states [s].
+        start: time of the first state [s]; ``None``: ``dt``, as states follow their control steps.
         tile: width and height of one picture [pixels].
         slow: how fast time goes, 0.25 for four times as slow.
         outcomes: by name of the policy, what came of each column, and when.
@@ -56,6 +68,7 @@ def film(
     """
     if not 0 < slow <= 1:
         raise ValueError(f"slow must be above 0 and at most 1, got {slow}.")
+    start = dt if start is None else start
     copies = math.ceil(RATE * dt / slow - 1e-6)  # pictures from one state to the next
     renderer = make_renderer(model, *tile)
     option = mujoco.MjvOption()
@@ -66,15 +79,24 @@ def film(
         for name, states in rows.items()
         for c in range(len(columns))
     }
+    begins = [
+        [
+            start + (t - 1) * dt
+            for t, mark in enumerate(marks[next(iter(rows)), c])
+            if mark and not mark.age
+        ]
+        for c in range(len(columns))
+    ]
+    abreast = len(rows) == 2 and len(columns) == 1
     pace = f"  x{slow:g}" if slow < 1 else ""
     writer: Any
     total = len(pushed.force) * copies
     with imageio.get_writer(path, fps=copies * slow / dt, macro_block_size=8, quality=8) as writer:
         for picture in follow(range(total), total):
             t, share = divmod(picture, copies)
-            time = (t + share / copies) * dt
+            time = start + min(t + share / copies, len(pushed.force) - 1) * dt
             lines = []
-            for name, states in rows.items():
+            for number, (name, states) in enumerate(rows.items()):
                 tiles = []
                 for c, column in enumerate(columns):
                     place(model, data, between(model, states[:, c], t, share / copies))
@@ -82,26 +104,32 @@ def film(
                     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
                     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
                     mark = marks[name, c][t]
-                    if mark:
-                        _draw_arrow(renderer.scene, data, mark)
-                    said = outcomes[name][c] if outcomes else ()
+                    said = outcome_at(outcomes[name][c] if outcomes else (), time, mark, begins[c])
+                    if mark and not (said and said[1] is False):
+                        draw_arrow(renderer.scene, data, mark)
+                    named = mark is not None and number == 0 and not abreast
                     tiles.append(
                         write_on(
                             renderer.render(),
                             title=f"{name}\n{column}",
                             clock=f"{time:.2f} s{pace}",
-                            push=mark.label if mark else "",
-                            outcome=outcome_at(said, time, mark),
+                            push=mark.label if mark and named else "",
+                            outcome=said,
                         )
                     )
                 lines.append(tiles)
-            writer.append_data(_grid(lines))
+            grid = _grid(lines)
+            if abreast and (mark := marks[next(iter(rows)), 0][t]):
+                grid = write_push(grid, mark.label)
+            writer.append_data(grid)
     renderer.close()
 
 
 def _grid(lines: list[list[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """Pictures in lines; one long line becomes two."""
-    if len(lines) == 1 and len(lines[0]) > 2:
+    """Pictures in lines; one long line becomes two, two lines of one picture become one."""
+    if len(lines) == 2 and len(lines[0]) == 1:
+        lines = [[lines[0][0], lines[1][0]]]
+    elif len(lines) == 1 and len(lines[0]) > 2:
         tiles = lines[0] + [np.full_like(lines[0][0], 255)] * (len(lines[0]) % 2)
         half = len(tiles) // 2
         lines = [tiles[:half], tiles[half:]]
@@ -141,7 +169,7 @@ def _headings(states: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(facing[last])
 
 
-def _draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, mark: Mark) -> None:
+def draw_arrow(scene: mujoco.MjvScene, data: mujoco.MjData, mark: Mark) -> None:
     """Adds an arrow that ends before the torso, 1 cm per newton up to 40 cm; it fades."""
     if scene.ngeom >= scene.maxgeom:
         return

@@ -47,6 +47,11 @@ class Kneeling:
         """Trials that are in a stable kneel now ``(N,)`` bool."""
         return self.rested > HOLD - 1e-6
 
+    @staticmethod
+    def remarks(td: TensorDictBase) -> dict[str, Tensor]:
+        """That a policy with modes gives up standing."""
+        return {"gives up standing": td["mode"][:, KNEEL] > 0} if "mode" in td.keys() else {}
+
     def before(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step before the push."""
         self.early |= td["mode"][:, RECOVER] == 0 if "mode" in td.keys() else now.touched

@@ -191,5 +191,5 @@ def _write_curves(name: str, runs: Sequence[Run], store: Store) -> list[Path]:
             curves.setdefault(run.row, []).append(stored.curve)
     paths = [store.results / f"{name}.{ending}" for ending in ("png", "pdf") if curves]
     for path in paths:
-        learning_bands(curves, path, title=name)
+        learning_bands(curves, path, title=f"Study: {name.replace('_', ' ')}")
     return paths

@@ -13,6 +13,7 @@ from zfall.viewer.geometry import Poses, along, arrow
 
 Array = NDArray[np.float64]
 
+BEFORE = 0.1  # of a push point an arrow ends, so that its tip is not within the body [m]
 LENGTH_PER_NEWTON = 0.01  # of an arrow [m/N], as in the films
 LONGEST_ARROW = 0.6  # [m]
 ABOVE = 0.3  # height of a label above the base [m]
@@ -53,7 +54,7 @@ class RobotView:
         self._label = server.scene.add_label(f"{name}/label", label)
         self._points: dict[str, Poses] = {}
         self._arrow: viser.SceneNodeHandle | None = None
-        self._model, self._pushed = model, ""
+        self._model, self._pushed, self._way = model, "", np.zeros(3)
         self.place, self.text = np.zeros(2), label
 
     def show(self, qpos: Array) -> None:
@@ -65,7 +66,7 @@ class RobotView:
         self._label.position = positions[0] + self._offset + np.array([0.0, 0.0, ABOVE])
         if self._arrow is not None:
             at = self._points[self._pushed](qpos)[0][0]
-            self._arrow.position = at + self._offset
+            self._arrow.position = at + self._offset - BEFORE * self._way
 
     def say(self, text: str) -> None:
         """Changes the text above it."""
@@ -73,7 +74,7 @@ class RobotView:
             self._label.text = self.text = text
 
     def show_push(self, point: str, force: Array) -> None:
-        """Shows an arrow whose tip is at a push point, until ``hide_push``.
+        """Shows an arrow whose tip is a little before a push point, until ``hide_push``.
 
         Args:
             point: its name.
@@ -84,11 +85,11 @@ class RobotView:
         if newtons == 0.0:
             return
         self._points.setdefault(point, Poses(self._model, [push_point_bodies(self._model)[point]]))
-        self._pushed = point
+        self._pushed, self._way = point, force / newtons
         self._arrow = self._server.scene.add_mesh_trimesh(
             f"{self._name}/push",
             arrow(min(LENGTH_PER_NEWTON * newtons, LONGEST_ARROW)),
-            wxyz=along(force / newtons),
+            wxyz=along(self._way),
         )
 
     def hide_push(self) -> None:

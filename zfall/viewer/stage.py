@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SPACING = 0.7  # between two worlds [m]
+SPACING = 0.55  # between two worlds [m]
 ARMS = 0.4  # room for the arms of the outermost robots [m]
 MIDDLE = 0.2  # height of the middle of a robot [m]
 FIELD = 0.9  # that cameras see, up and down [rad]

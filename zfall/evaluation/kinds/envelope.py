@@ -93,7 +93,9 @@ class Envelope:
         if result.background is not None:
             tables["pose_hold"] = envelope_table(result.background)
         lines = result.lines
-        title = "largest impulse recovered from"
+        battery = result.battery
+        counted = f"{battery.starts} starts per push, to {battery.resolution:g} in I"
+        title = result.heading(counted, of="Largest push recovered from")
         files = write_table(folder, "envelope", tables[result.name])
         files += write_figures(
             folder, "envelope", lambda path: envelope_plot(tables, path, title=title, lines=lines)

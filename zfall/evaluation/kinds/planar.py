@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from zfall.evaluation.definitions import Battery, check_single, check_unused
+from zfall.evaluation.headings import count
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, grid, single_pushes
@@ -57,7 +58,7 @@ class Planar:
     def write(self, result: Result, folder: Path) -> Written:
         """The map of success over ``pose_hold``, and the strategies by side and size."""
         summary, lines = result.summary, result.lines
-        title = f"{result.name}, {folder.name.replace('_', ' ')}"
+        title = result.heading(_count(result.trials))
         files = write_figures(
             folder,
             "success_map",
@@ -77,12 +78,14 @@ class Planar:
         first = next(iter(results.values()))
         trials = {label: result.trials for label, result in results.items()}
         lines = first.lines
-        title = f"I50, {folder.name.replace('_', ' ')}"
+        counted = _count(first.trials)
+        title = first.heading(counted, of="I50 by direction")
         files = write_figures(
             folder, "overlay", lambda path: overlay(trials, path, title=title, lines=lines)
         )
+        above = first.heading(counted, of="Directions with at least an I50")
         files += write_figures(
-            folder, "profiles", lambda path: profiles_plot(trials, path, title=title)
+            folder, "profiles", lambda path: profiles_plot(trials, path, title=above)
         )
         shown = success_by_size({label: result.summary for label, result in results.items()})
         return Written(files, [shown])
@@ -101,6 +104,10 @@ class Planar:
             "joint_torque_rms": float(mild["joint_torque_rms"].mean()),
             "control_falls": summary["control_falls"],
         }
+
+
+def _count(trials: pd.DataFrame) -> str:
+    return count(trials, ("direction_rad", "impulse"), "trials per direction and size")
 
 
 def success_by_size(summaries: Mapping[str, dict[str, Any]]) -> Sheet:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zfall.evaluation.definitions import Battery, check_unused
+from zfall.evaluation.headings import count
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, cells, numbered, pushes_along
@@ -77,7 +78,8 @@ class Spherical:
 
     def write(self, result: Result, folder: Path) -> Written:
         """Means by size, duration and push point, as a map and a table."""
-        title = f"{result.name}, {folder.name.replace('_', ' ')}"
+        cell = ("body", "duration_s", "impulse")
+        title = result.heading(count(result.trials, cell, "episodes per cell"))
         files = write_figures(
             folder, "withstood", lambda path: withstood_map(result.trials, path, title=title)
         )

@@ -1,7 +1,7 @@
 """How learning went."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ from zfall.evaluation.plots.colors import LINES
 from zfall.files import written_whole
 
 POINTS = 40  # at which curves of several seeds are averaged
+FEW = 4  # seeds from which on an interval of their mean is drawn
 
 
 def learning_curves(metrics: pd.DataFrame | Mapping[str, pd.DataFrame], path: Path) -> None:
-    """Return, episode length, KL divergence and reward terms over frames.
+    """Return, episode length, KL divergence and reward terms over control steps.
 
     A bold line is the mean over about a thirtieth of the training, the faint one behind it the
     values. Of several runs the terms are left out, and each has its colour and dashes.
@@ -51,13 +52,13 @@ def learning_curves(metrics: pd.DataFrame | Mapping[str, pd.DataFrame], path: Pa
     for ax in axes.flat:
         ax.grid(alpha=0.3)
     for ax in (axes[1, 0], below if len(runs) == 1 else axes[0, 1]):
-        ax.set_xlabel("frames [millions]")
+        ax.set_xlabel("control steps [millions]")
         ax.tick_params(labelbottom=True)
     figure.savefig(path, dpi=130)
 
 
 def _smoothed(axes: Any, rows: pd.DataFrame, key: str, name: str, look: tuple[str, str]) -> None:
-    """A column over the frames: its running mean, and the values faint behind it."""
+    """A column over the control steps: its running mean, and the values faint behind it."""
     frames, (style, color) = rows["frames"] / 1e6, look
     mean = running_mean(rows[key])
     axes.plot(frames, rows[key], lw=0.7, color=color, alpha=0.3)
@@ -79,7 +80,10 @@ def learning_bands(
     label: str = "length of an episode [s]",
     title: str = "",
 ) -> None:
-    """Mean over seeds and its bootstrap 95 % interval, over frames, a line for each group.
+    """Mean over seeds, over control steps, a line for each group.
+
+    Four seeds or more have a band, the bootstrap 95 % interval of their mean. Fewer say little of
+    others: their band is their range, and each is a thin line. One seed has no band.
 
     Args:
         groups: rows of the ``metrics.csv`` of several seeds, by the name of what they share.
@@ -97,23 +101,40 @@ def learning_bands(
         frames = 0.5 * (edges[1:] + edges[:-1]) / 1e6
         (curve,) = axes.plot(frames, curves.mean(0), style, color=color, lw=1.4, markevery=5, ms=3)
         curve.set_label(f"{name} ({len(runs)})")
-        band = np.array([bootstrap_interval(values, resamples=999) for values in curves.T])
-        axes.fill_between(frames, band[:, 0], band[:, 1], color=color, alpha=0.18, lw=0)
-    axes.set_xlabel("frames [millions]", fontsize=8)
+        if len(runs) >= FEW:
+            low, high = np.array([bootstrap_interval(x, resamples=999) for x in curves.T]).T
+        else:
+            low, high = curves.min(0), curves.max(0)
+        if len(runs) > 1:
+            axes.fill_between(frames, low, high, color=color, alpha=0.18, lw=0)
+        for single in curves if 1 < len(runs) < FEW else ():
+            axes.plot(frames, single, color=color, lw=0.5, alpha=0.7)
+    axes.set_xlabel("control steps [millions]", fontsize=8)
     axes.set_ylabel(label, fontsize=8)
     axes.tick_params(labelsize=7)
     axes.set_title(title, fontsize=9)
     axes.grid(alpha=0.3)
     place: dict[str, Any] = {}
-    if len(groups) > 4:  # so many names would cover what they name
+    if len(groups) > 4 or max(map(len, groups)) > 24:  # names would cover what they name
         figure.set_size_inches(5.4, 2.7)
         place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
-    what = "mean and 95 % interval (seeds)"
-    axes.legend(fontsize=7, title=what, title_fontsize=7, **place)
+    axes.legend(fontsize=7, title=_band(groups.values()), title_fontsize=7, **place)
     # Without its date, the same curves give the same file.
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
     with written_whole(path) as new:
         figure.savefig(new, format=path.suffix[1:], dpi=300, metadata=metadata)
+
+
+def _band(groups: Collection[Sequence[pd.DataFrame]]) -> str:
+    """What line and band are, in words; the number of seeds stands in brackets behind a name."""
+    sizes = [len(runs) for runs in groups]
+    if max(sizes) == 1:
+        return "one seed"
+    if min(sizes) >= FEW:
+        return "mean and 95 % interval (seeds)"
+    if max(sizes) < FEW:
+        return "mean and range (seeds)"
+    return f"mean; 95 % interval, or range\nof fewer than {FEW} seeds (seeds)"
 
 
 def learning_table(groups: Mapping[str, Sequence[pd.DataFrame]]) -> pd.DataFrame:

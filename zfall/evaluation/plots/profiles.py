@@ -1,7 +1,6 @@
 """Whole distributions in place of means."""
 
 import itertools
-import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 
 from zfall.evaluation.comparison import interquartile_mean, performance_profile
 from zfall.evaluation.plots.colors import LINES
-from zfall.evaluation.plots.polar import TITLE
+from zfall.evaluation.plots.headings import draw_heading
 from zfall.evaluation.statistics import largest_withstood, success_table
 
 
@@ -24,9 +23,9 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
     Args:
         runs: trials of one planar battery by name.
         path: file to write; its ending gives the format.
-        title: above the plot.
+        title: above the plot; lines after the first are smaller.
     """
-    figure = Figure(figsize=(3.5, 2.6 + 0.15 * len(runs)), layout="constrained")
+    figure = Figure(figsize=(8.0, max(3.6, 0.6 + 0.25 * len(runs))), layout="constrained")
     axes, most = figure.subplots(), 0.0
     for (name, trials), (style, color) in zip(runs.items(), itertools.cycle(LINES), strict=False):
         table = success_table(trials)
@@ -38,10 +37,9 @@ def profiles_plot(runs: Mapping[str, pd.DataFrame], path: Path, *, title: str) -
         axes.step(steps, share, style, markersize=3, where="pre", color=color, label=label)
         most = max(most, float(i50.max()))
     axes.set_xlim(0.0, most + 0.2)
-    axes.set_xlabel("impulse I", fontsize=8)
-    axes.set_ylabel("share of directions with I50 ≥ I", fontsize=8)
-    axes.tick_params(labelsize=7)
-    figure.suptitle(textwrap.fill(title, TITLE, break_on_hyphens=False), fontsize=9)
+    axes.set_xlabel("impulse I")
+    axes.set_ylabel("share of directions with I50 ≥ I")
+    draw_heading(figure, title)
     axes.grid(alpha=0.3)
-    figure.legend(loc="outside lower center", fontsize=7, frameon=False)
-    figure.savefig(path, dpi=300)
+    figure.legend(loc="outside right center", fontsize=9, frameon=False)
+    figure.savefig(path, dpi=200)

@@ -1,6 +1,5 @@
 """Success by thirds of what was drawn."""
 
-import textwrap
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,13 @@ from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 
 from zfall.evaluation.plots.colors import BLUE, GREY, VERMILION
+from zfall.evaluation.plots.headings import draw_heading
+from zfall.evaluation.statistics import wilson
 
 PARTS = {"low": ("v", BLUE), "middle": ("o", GREY), "high": ("^", VERMILION)}
-CHANCE, ROOM = 0.05, 5.0  # a p; on either side of all marks [%]
+CHANCE = 0.05  # a p; above it chance explains a difference as well
+MOST = 5  # rows
+APART = 0.2  # of the marks in a row
 UNITS = {
     "backlash": "rad",
     "com_offset": "m",
@@ -31,39 +34,52 @@ UNITS = {
 def thirds_plot(table: pd.DataFrame, path: Path, *, title: str) -> None:
     """A row for each drawn parameter: success in the thirds with its low, middle, high values.
 
-    Rows that chance explains as well, with a p above ``CHANCE``, are faint. Names stand without
-    their underscores, ranges with their unit.
+    The five that explain most; how many others there are, and whether any of them does more than
+    chance, is said below. Bars are Wilson's 95 % intervals. Rows that chance explains as well, with
+    a p above ``CHANCE``, are faint. Names stand without their underscores, ranges with their unit.
 
     Args:
         table: of ``success_by_draw``; the first row comes to the top.
         path: file to write; its ending gives the format.
-        title: above the plot.
+        title: above the plot; lines after the first are smaller.
     """
-    figure = Figure(figsize=(6.4, 1.2 + 0.24 * len(table)), layout="constrained")
-    axes, places = figure.subplots(), range(len(table))
-    shares = 100 * table[[*PARTS]]
-    clear = np.where(table["p"] <= CHANCE, 1.0, 0.3)
-    grey = to_rgba_array("0.7", clear)
-    axes.hlines(places, shares.min(axis=1), shares.max(axis=1), colors=list(grey), lw=1.5)
-    for part, (marker, color) in PARTS.items():
+    shown, others = table.head(MOST), table.iloc[MOST:]
+    figure = Figure(figsize=(7.5, 1.6 + 0.5 * len(shown)), layout="constrained")
+    axes, places = figure.subplots(), np.arange(len(shown))
+    clear = np.where(shown["p"] <= CHANCE, 1.0, 0.3)
+    for number, (part, (marker, color)) in enumerate(PARTS.items()):
         colors = to_rgba_array(color, clear)
-        axes.scatter(shares[part], places, s=25, c=colors, marker=marker)
+        across, shares = places + (number - 1) * APART, 100 * shown[part]
+        bars = [
+            100 * np.array(_wilson(*row))
+            for row in zip(shown[part], shown[f"n_{part}"], strict=True)
+        ]
+        low, high = np.array(bars).T
+        axes.hlines(across, low, high, colors=list(colors), lw=1.5)
+        axes.scatter(shares, across, s=28, c=colors, marker=marker)
         axes.plot([], [], marker, color=color, ms=5, label=f"{part} third")
-    axes.set_yticks(places, [_name(row) for row in table.to_dict("records")], fontsize=8)
+    axes.set_yticks(places, [_name(row) for row in shown.to_dict("records")], fontsize=9)
     axes.invert_yaxis()
-    axes.tick_params(labelsize=8)
-    axes.set_xlabel("recovered [%]", fontsize=8)
-    low, high = np.nanmin(shares), np.nanmax(shares)
-    axes.set_xlim(max(-1.0, low - ROOM), min(101.0, high + ROOM))
+    axes.tick_params(labelsize=9)
+    below = "recovered [%], with 95 % intervals"
+    if len(others):
+        effect = "no effect" if others["p"].min() > CHANCE else "smaller effects or none"
+        below += f"\n{len(others)} others: {effect}"
+    axes.set_xlabel(below, fontsize=9)
     axes.grid(alpha=0.3, axis="x")
-    figure.suptitle(textwrap.fill(title, 80, break_on_hyphens=False), fontsize=9)
-    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    draw_heading(figure, title)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     figure.savefig(path, dpi=200)
 
 
+def _wilson(share: float, trials: int) -> tuple[float, float]:
+    """Interval of a share; NaN of an empty third."""
+    return wilson(round(share * trials), trials) if trials else (np.nan, np.nan)
+
+
 def _name(row: Mapping[Hashable, Any]) -> str:
-    """A parameter, the values that were drawn, and p."""
+    """A parameter, and the values that were drawn."""
     parameter = str(row["parameter"])
     unit = UNITS.get(parameter, "")
     drawn = f"{row['smallest']:.3g} to {row['largest']:.3g} {unit}".rstrip()
-    return f"{parameter.replace('_', ' ')}, {drawn}    p = {row['p']:.1g}"
+    return f"{parameter.replace('_', ' ')},\n{drawn}"
