@@ -236,6 +236,7 @@ HARMLESS = {
     "get_object": "likewise, to look at its parameters",
     "load_bank": "numbers of an npz file, no pickles",
     "load_catches": "numbers of an npz file, no pickles",
+    "load_rises": "numbers of an npz file, no pickles",
     "load_motions": "numbers of an npz file, no pickles",
     "load_fall_network": "a checkpoint, through zfall.checkpoint.load",
 }

@@ -67,6 +67,8 @@ def test_trials_are_counted_in_each_cell_without_the_control_arm():
     rows = pd.DataFrame({"direction_rad": [0.0, 0.0, 1.0, 0.0], "impulse": [0.1, 0.1, 0.1, 0.0]})
     assert count(rows, ("direction_rad", "impulse"), "per cell") == "1 to 2 per cell"
     assert count(rows, (), "pushed trials") == "3 pushed trials"
+    one = rows.iloc[2:3]
+    assert count(one, ("direction_rad", "impulse"), "trials per cell") == "1 trial per cell"
 
 
 def test_compared_policies_say_their_servos_where_these_differ():

@@ -54,6 +54,8 @@ def count(trials: pd.DataFrame, keys: Sequence[str], words: str) -> str:
     pushed = trials[trials["impulse"] > 0]
     sizes = pushed.groupby(list(keys)).size() if keys else pd.Series([len(pushed)])
     least, most = (int(sizes.min()), int(sizes.max())) if len(sizes) else (0, 0)
+    if least == most == 1:
+        words = words.replace("trials", "trial")
     return f"{least}{f' to {most}' if most > least else ''} {words}"
 
 
