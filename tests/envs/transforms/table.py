@@ -211,11 +211,16 @@ NEEDS = {  # other rows that a row cannot be without
     "mirrored_falls": {"kneel_reference", "mode"},
     "near": {"observation"},
     "reward": {"last_action"},
+    "rise_reference": {"mode"},
     "imu_to_heading": {"command"},
     "stable": {"mode"},
     "zero": {"random"},
 }
-OF_POSITION = {"kneel_reference", "mirrored_falls"}  # change position targets alone
+OF_POSITION = {
+    "kneel_reference",
+    "mirrored_falls",
+    "rise_reference",
+}  # change position targets alone
 
 
 def choose(target: str, names: set[str]) -> dict[str, Any]:
