@@ -58,6 +58,16 @@ def test_rates_are_worked_out_by_hand():
     assert Cycle().study_row(load_battery("cycle"), trials, "")["landing_force"] == 260.0
 
 
+def test_what_is_the_same_in_every_fall_has_no_width_however_many_there_are():
+    falls = [1.0, 7.0, 2.0, 4.0]
+    trials = pd.DataFrame({"falls": falls, "landing_torque": [5.0 * n for n in falls]})
+    others = ("falls_open", "falls_stood", "pushes_met", "pushes_down", "down_s", "landing_force")
+    trials = trials.assign(**dict.fromkeys((*others, "landing_vulnerable", "rise_force"), 0.0))
+    figures = cycle_figures(trials, 60.0)
+    ends = figures["landing_torque_low"], figures["landing_torque_high"]
+    assert ends == pytest.approx((5.0, 5.0))
+
+
 def test_who_never_falls_has_no_figure_of_falls():
     names = ("falls", "falls_open", "falls_stood", "pushes_down", "down_s", "landing_force",
              "landing_torque", "landing_vulnerable", "rise_force")  # fmt: skip

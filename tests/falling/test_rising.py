@@ -81,9 +81,18 @@ def test_falls_are_counted_until_they_end_standing(make_base, history):
     assert (late["falls"], late["falls_stood"], late["falls_open"]) == (1, 0, 0)
 
 
+def test_a_fall_that_begins_too_late_is_not_judged_whatever_comes_of_it(make_base, history):
+    """Of two that end after 1 s, one begins 9.0 s before the end and one 8.0 s."""
+    stand, lie = history
+    early = follow(Cycling(make_base(num_envs=1)), [stand(1.0), lie(1.0), stand(8.0)])
+    assert (early["falls"], early["falls_stood"], early["falls_open"]) == (1, 1, 0)
+    late = follow(Cycling(make_base(num_envs=1)), [stand(1.0), lie(1.0), stand(7.0)])
+    assert (late["falls"], late["falls_stood"], late["falls_open"]) == (1, 0, 1)
+
+
 def test_a_wobble_within_a_fall_is_no_other_fall(make_base, history):
     stand, lie = history
-    out = follow(Cycling(make_base(num_envs=1)), [lie(1.0), stand(0.4), lie(1.0), stand(1.0)])
+    out = follow(Cycling(make_base(num_envs=1)), [lie(1.0), stand(0.4), lie(1.0), stand(7.0)])
     assert (out["falls"], out["falls_stood"]) == (1, 1)
 
 

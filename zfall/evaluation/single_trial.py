@@ -102,7 +102,8 @@ def show_trial(
             path = place / f"trial_{trial}.mp4"
             where = surroundings(each.env_cfg, battery, each.kept)
             name = f"trial {trial} of {battery.name}; {where}"
-            _film(replay, labels([each.name])[0], name, outcome, path, console, slow=slow)
+            label, when = labels([each.name])[0], battery.push_time
+            _film(replay, label, name, outcome, path, console, slow=slow, push_time=when)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[each.name] = replay.traces.rename(columns=renamed)
         pushes += [push for push in replay.pushes if push not in pushes]
@@ -175,6 +176,7 @@ def _film(
     console: Console,
     *,
     slow: float,
+    push_time: float,
 ) -> None:
     env, length = replay.env, float(replay.traces["time_s"].iloc[-1])
     every = round(frame(env) / env.control_dt)
@@ -182,7 +184,7 @@ def _film(
     pushed = replay.log.frames([every * (k + 1) for k in range(count)])
     begin = max(0.0, length - 1.5)
     if outcome == "fell" and np.isfinite(fall := float(replay.row["time_to_fall_s"])):
-        begin = replay.pushes[0][0] + fall if replay.pushes else fall
+        begin = push_time + fall  # counted from when the battery pushes, whenever a push came
         outcome += " {when}"
     said: list[tuple[float, str, bool | None]] = [
         (time, f"{words} {{when}}", None) for words, time in replay.remarks.items()

@@ -9,17 +9,17 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from zfall.evaluation.comparison import bootstrap_interval
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.kinds.spherical import random_pushes
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, cells, numbered, pushes_along
 from zfall.evaluation.results import Result
-from zfall.evaluation.statistics import head, wilson
+from zfall.evaluation.statistics import head
 from zfall.evaluation.writers import Written, write_table
 from zfall.terminal import Sheet
 
+RESAMPLES = 10_000
 # What a summary says: by its name, the sums of ``Cycling`` that are divided, and a factor.
 RATES: Mapping[str, tuple[str, str, float]] = {
     "stood_share": ("falls_stood", "falls_over", 1.0),
@@ -110,8 +110,8 @@ class Cycle:
 def cycle_figures(trials: pd.DataFrame, seconds: float) -> dict[str, Any]:
     """Numbers of episodes, falls and pushes, and ``RATES`` with intervals; ``None`` of no falls.
 
-    ``stood_share`` is of the falls that were not open at the end, with its Wilson 95 % interval;
-    those of the others are bootstrap intervals over episodes.
+    Intervals are 95 % bootstrap intervals over episodes, of each ratio of sums: falls of one
+    episode share its draw, and how often a robot falls depends on whether it gets up.
 
     Args:
         trials: with the columns of ``Cycling``.
@@ -124,15 +124,18 @@ def cycle_figures(trials: pd.DataFrame, seconds: float) -> dict[str, Any]:
     for name, (above, below, factor) in RATES.items():
         known = totals[below] > 0
         out[name] = float(factor * totals[above] / totals[below]) if known else None
-        low, high = None, None
-        if name == "stood_share" and known:
-            low, high = wilson(int(totals[above]), int(totals[below]))
-        elif known:
-            own = sums[sums[below] > 0]
-            mean = totals[below] / len(own)
-            low, high = bootstrap_interval((factor * own[above] / mean).tolist())
-        out[f"{name}_low"], out[f"{name}_high"] = low, high
+        low, high = _interval(sums[above], sums[below]) if known else (None, None)
+        out[f"{name}_low"] = None if low is None else factor * low
+        out[f"{name}_high"] = None if high is None else factor * high
     return out
+
+
+def _interval(above: pd.Series, below: pd.Series) -> tuple[float, float]:
+    """95 % bootstrap interval over episodes of the ratio of two sums."""
+    drawn = np.random.default_rng(0).integers(len(above), size=(RESAMPLES, len(above)))
+    tops, bottoms = (each.to_numpy()[drawn].sum(1) for each in (above, below))
+    low, high = np.quantile(tops[bottoms > 0] / bottoms[bottoms > 0], [0.025, 0.975])
+    return float(low), float(high)
 
 
 def cycle_table(summary: Mapping[str, Any]) -> pd.DataFrame:

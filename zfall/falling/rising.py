@@ -57,10 +57,10 @@ class Cycling:
     """Counts falls, how many of them end standing again, and what each of them costs.
 
     A fall begins when a standing robot touches the floor with anything but its feet, and ends when
-    it has stood again for half a second. ``falls``; ``falls_stood``: those in which that began
-    within eight seconds; ``falls_open``: those that were shorter than that when the trial ended,
-    which are neither; ``down_s`` [s]: time in falls. ``pushes_met``: pushes that began while it
-    was not in a fall; ``pushes_down``: all others.
+    it has stood again for half a second. ``falls``; ``falls_open``: those that began in the last
+    eight and a half seconds of the trial, too late to be judged; ``falls_stood``: those of the
+    others in which standing began within eight seconds; ``down_s`` [s]: time in falls.
+    ``pushes_met``: pushes that began while it was not in a fall; ``pushes_down``: all others.
 
     Sums over falls, of the first second after the touch: ``landing_force`` [N], the largest of the
     floor on any region but the feet; ``landing_torque`` [N m], the largest of a joint;
@@ -79,9 +79,11 @@ class Cycling:
         self.struck = [env.regions.index(region) for region in ("torso", "head")]
         self.down, self.pushed = torch.zeros(2, n, dtype=torch.bool)
         self.since, self.standing = torch.zeros(2, n)  # of the fall that goes on [s]
+        self.time = 0.0
+        self.begun, self.stood = list[tuple[Tensor, Tensor]](), list[tuple[Tensor, Tensor]]()
         self.force, self.torque, self.later = torch.zeros(3, n)  # of it
         self.vulnerable = torch.zeros(n)
-        names = ("falls", "falls_stood", "pushes_met", "pushes_down", "down_s", "landing_force",
+        names = ("falls", "pushes_met", "pushes_down", "down_s", "landing_force",
                  "landing_torque", "landing_vulnerable", "rise_force")  # fmt: skip
         self.sums = {name: torch.zeros(n) for name in names}
 
@@ -91,6 +93,7 @@ class Cycling:
 
     def update(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step."""
+        self.time += self.dt
         push = (td["push", "force"] != 0).any(-1)
         begins, self.pushed = push & ~self.pushed, push
         self._add("pushes_met", begins & ~self.down)
@@ -101,6 +104,7 @@ class Cycling:
             setattr(self, name, getattr(self, name).masked_fill(new, 0.0))
         self.down = self.down | new
         self._add("falls", new)
+        self.begun.append((torch.full_like(self.since, self.time), new))
         self._add("down_s", self.down, self.dt)
         body = td["contact_force_peak"][:, :-2].amax(-1)
         landing = self.since < LANDING - 1e-6
@@ -112,7 +116,8 @@ class Cycling:
         self.vulnerable = torch.maximum(self.vulnerable, (landing & hit).float())
         self.standing = torch.where(stands(td, self.robot), self.standing + self.dt, 0.0)
         ends = self.down & (self.standing > HOLD - 1e-6)
-        self._add("falls_stood", ends & (self.since - self.standing <= WITHIN + 1e-6))
+        in_time = ends & (self.since - self.standing <= WITHIN + 1e-6)
+        self.stood.append((self.time - self.since, in_time))  # when these falls began
         self._end(ends)
 
     def _add(self, name: str, rows: Tensor, value: Tensor | float = 1.0) -> None:
@@ -128,6 +133,9 @@ class Cycling:
 
     def table(self, ended: Ended) -> dict[str, Tensor]:
         """Columns ``(N,)``; a fall that goes on is open until it is too late."""
-        still_open = self.down & (self.since <= WITHIN + HOLD) & ~ended.diverged
         self._end(self.down.clone())
-        return self.sums | {"falls_open": still_open.float()}
+        last = self.time - WITHIN - HOLD + 1e-6  # when a fall began at the latest that is judged
+        late = sum(((time > last) & new).float() for time, new in self.begun)
+        stood = sum(((time <= last) & which).float() for time, which in self.stood)
+        none = torch.zeros_like(self.since)
+        return self.sums | {"falls_open": none + late, "falls_stood": none + stood}

@@ -40,6 +40,18 @@ def regions_named(robot: Robot, *names: str) -> list[int]:
     return [i for i, region in enumerate(robot.regions) if region.split("_")[-1] in names]
 
 
+def _of_mode(mode: Mode, td: TensorDictBase) -> Tensor:
+    """Where a one-hot ``mode`` ``(*B, M)`` is this one ``(*B, 1)``.
+
+    Raises:
+        ValueError: if the machine has no such mode.
+    """
+    modes = td["mode"]
+    if mode >= modes.shape[-1]:
+        raise ValueError(f"mode must be below {modes.shape[-1]} without rise, got {mode}.")
+    return modes[..., mode : mode + 1]
+
+
 def touching(next_td: TensorDictBase, robot: Robot, *names: str) -> Tensor:
     """Whether any region with one of the names touched the floor during the step ``(*B, 1)``.
 
@@ -106,7 +118,7 @@ def in_mode(
     Reads ``mode`` ``(*B, 3)`` before the step, and what the term reads. Returns ``(*B, 1)``.
     """
     value = term(td, next_td)
-    return torch.where(td["mode"][..., mode : mode + 1] > 0, value, torch.zeros_like(value))
+    return torch.where(_of_mode(mode, td) > 0, value, torch.zeros_like(value))
 
 
 def in_slow_fall(
@@ -245,7 +257,7 @@ def kneel_pose(
 
 def entered_mode(td: TensorDictBase, next_td: TensorDictBase, *, mode: Mode) -> Tensor:
     """1 for the step that led into a mode; reads ``mode``; returns ``(*B, 1)``."""
-    before, after = (x["mode"][..., mode : mode + 1] for x in (td, next_td))
+    before, after = (_of_mode(mode, x) for x in (td, next_td))
     return ((after > 0) & (before == 0)).float()
 
 

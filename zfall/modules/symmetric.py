@@ -6,8 +6,9 @@ sample teaches both sides.
 
 A network with a memory has one of here and one of the mirror, which change places there.
 
-A robot that stands and is pushed straight ahead has no leg to begin with: in its mirror image the
-same has happened, and the same policy does the same with both legs. ``Handed`` lets it prefer one.
+Angles that the joint on the other side cannot take are clamped (``zfall.envs.mirror``): there it is
+the same up to that. A robot that stands and is pushed straight ahead looks the same in the mirror,
+so that such a policy does the same with both legs. ``Handed`` lets it prefer one.
 
 Source: van der Pol et al., "MDP homomorphic networks: group symmetries in reinforcement learning",
 NeurIPS 2020; as a mean over the group: Puny et al., "Frame averaging for invariant and equivariant
@@ -54,8 +55,8 @@ class TaskMirror(Mirror):
 class Handed(nn.Module):
     """Appends an input by which a network may treat the two sides in different ways.
 
-    It is the same number in every state, with the other sign in the mirror. What the network makes
-    of it is up to its weights: of little, it is nearly symmetric. With 0 it is so exactly.
+    It is the same number in every state, with the other sign in the mirror. How far the sides then
+    differ is up to the weights; with 0 they do not.
 
     Args:
         handedness: that number.

@@ -11,7 +11,7 @@ from zfall.simulation.model import identity_of
 from zfall.training.learner import Learner
 
 # Which no weight tells of, and what is meant without them.
-UNTOLD = {"activation": "elu", "statistic": "mean"}
+UNTOLD = {"activation": "elu", "statistic": "mean", "handedness": None}
 
 
 def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = False) -> None:
