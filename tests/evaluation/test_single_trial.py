@@ -1,6 +1,7 @@
 """One trial again, of several policies."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -86,6 +87,11 @@ def test_a_film_of_a_trial_names_it_and_goes_as_slow_as_asked(tmp_path, monkeypa
     assert settings["slow"] == 0.25
     (said,) = settings["outcomes"]["mine"]
     assert said == [(0.6, "gives up {when}", None), (pytest.approx(0.7), "fell {when}", False)]
+    # Falls count from when the battery pushes, 3 s in planar, also of trials without a push.
+    monkeypatch.setattr(single_trial, "run_trial", lambda *_, **__: replace(replay, pushes=[]))
+    show_trial(load_battery("planar"), 7, candidates, where, tmp_path, console, **given)
+    (said,) = filmed[1][1]["outcomes"]["mine"]
+    assert said[1] == (pytest.approx(3.2), "fell {when}", False)
 
 
 def test_a_trial_is_said_in_one_line():

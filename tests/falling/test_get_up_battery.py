@@ -10,7 +10,7 @@ from zfall.evaluation.candidate import load_candidate
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.plans import plan_trials
 from zfall.falling.get_up_battery import GetUp, get_up_table
-from zfall.falling.lying import POSTURES
+from zfall.falling.lying import POSTURES, posture_of
 from zfall.robots import ZEROTH01
 
 
@@ -61,7 +61,13 @@ def test_robots_begin_in_the_posture_and_those_that_hold_still_stay_down():
     """``pose_hold`` in the battery's world: nobody stands, and the first touch is at once."""
     battery = load_battery("get_up", starts=1, end_time=0.4)
     tested = load_candidate("pose_hold")
-    trials = run_battery(battery, tested.env_cfg, tested.actor, num_envs=64)
+    seen = []
+
+    def watch(base, td):
+        seen.append(posture_of(td["projected_gravity"]))
+
+    trials = run_battery(battery, tested.env_cfg, tested.actor, num_envs=64, watch=watch)
+    assert [POSTURES[i] for i in seen[0][: len(trials)]] == trials["start"].tolist()
     assert trials["stood_s"].isna().all()
     assert not trials["stood"].any()
     assert trials["fell"].all()

@@ -130,6 +130,16 @@ def test_a_term_counts_in_its_mode_alone():
     assert ends[:, 0].tolist() == [False, True, False]
 
 
+def test_a_mode_that_the_machine_has_not_is_refused():
+    td = TensorDict({"mode": torch.eye(3)}, batch_size=[3])
+    for term in (
+        partial(terms.in_mode, term=lambda td, after: torch.ones(3, 1)),
+        terms.entered_mode,
+    ):
+        with pytest.raises(ValueError, match="mode must be below 3 without rise, got 3"):
+            term(td, td, mode=3)
+
+
 def test_a_term_counts_in_slow_falls_alone():
     td = TensorDict(
         {

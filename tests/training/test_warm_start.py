@@ -63,6 +63,14 @@ def test_a_policy_that_does_not_fit_is_refused(trained, compose_config, given, m
         warm_start(learner, str(trained))
 
 
+def test_a_policy_that_prefers_the_other_side_is_refused(compose_config, tmp_path):
+    given = ("num_envs=8", "rollout_steps=2", "actor.symmetric=true")
+    run = trained_in(tmp_path / "run", compose_config(*given, "actor.handedness=1.0"))
+    learner = Learner(compose_config(*given, "actor.handedness=-1.0"))
+    with pytest.raises(ValueError, match="must have the same actor.handedness, got 1.0 and -1.0"):
+        warm_start(learner, str(run))
+
+
 def test_a_mixture_with_a_lower_floor_acts_as_before_and_explores_by_as_much_less(
     compose_config, tmp_path
 ):

@@ -73,7 +73,7 @@ class HumanoidEnv(EnvBase):
 
     Args:
         num_envs: number of worlds N.
-        control_dt, physics_dt: time between two actions, a multiple of the physics' step [s].
+        control_dt, physics_dt: time between two actions, and the physics' step, its divisor [s].
         robot: the robot.
         push_points: points for pushes in addition to the robot's, by name.
         ball: a ball that ``ThrownBall`` can throw.

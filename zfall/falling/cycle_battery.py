@@ -9,6 +9,7 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
+from zfall.evaluation.comparison import bootstrap_interval
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
 from zfall.evaluation.kinds.spherical import random_pushes
@@ -19,7 +20,6 @@ from zfall.evaluation.statistics import head
 from zfall.evaluation.writers import Written, write_table
 from zfall.terminal import Sheet
 
-RESAMPLES = 10_000
 # What a summary says: by its name, the sums of ``Cycling`` that are divided, and a factor.
 RATES: Mapping[str, tuple[str, str, float]] = {
     "stood_share": ("falls_stood", "falls_over", 1.0),
@@ -132,10 +132,15 @@ def cycle_figures(trials: pd.DataFrame, seconds: float) -> dict[str, Any]:
 
 def _interval(above: pd.Series, below: pd.Series) -> tuple[float, float]:
     """95 % bootstrap interval over episodes of the ratio of two sums."""
-    drawn = np.random.default_rng(0).integers(len(above), size=(RESAMPLES, len(above)))
-    tops, bottoms = (each.to_numpy()[drawn].sum(1) for each in (above, below))
-    low, high = np.quantile(tops[bottoms > 0] / bottoms[bottoms > 0], [0.025, 0.975])
-    return float(low), float(high)
+    counted = below.to_numpy() > 0  # the others say nothing of the ratio
+    tops, bottoms = above.to_numpy()[counted], below.to_numpy()[counted]
+
+    def ratio(rows: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
+        chosen = rows.astype(int)
+        quotient: NDArray[np.float64] = tops[chosen].sum(axis) / bottoms[chosen].sum(axis)
+        return quotient
+
+    return bootstrap_interval(np.arange(float(len(tops))).tolist(), ratio)
 
 
 def cycle_table(summary: Mapping[str, Any]) -> pd.DataFrame:

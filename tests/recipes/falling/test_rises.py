@@ -1,5 +1,7 @@
 """``recipes.falling.rises`` and ``recipes.falling.lying``, from the shell."""
 
+import re
+
 import pytest
 import torch
 
@@ -21,10 +23,13 @@ def test_movements_are_written_as_they_stand_in_the_yaml_and_a_search_varies_one
     done = run("falling.rises", "searched=[left]", *small, f"hydra.run.dir={tmp_path}/searched")
     assert done.returncode == 0, done.stderr
     assert "left: " in done.stdout
+    before, after = map(float, re.search(r"score (\S+) -> (\S+)", done.stdout).groups())
     found = load_rises(ZEROTH01, tmp_path / "searched" / "rises.npz")
     others = [i for i, name in enumerate(found.names) if name != "left"]
     assert torch.equal(found.keyframes[others], written.keyframes[others])
     assert torch.equal(found.ends, written.ends)
+    changed = not torch.equal(found.keyframes, written.keyframes)
+    assert changed == (after > before) or after == before  # as printed, to two digits
 
 
 def test_a_movement_that_there_is_not_is_refused(tmp_path):
