@@ -1,6 +1,7 @@
 """Two and more policies on the same trials, and figures over seeds."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -29,13 +30,15 @@ def mcnemar(first: ArrayLike, second: ArrayLike) -> float:
 
 def bootstrap_interval(
     values: Sequence[float],
-    statistic: Callable[..., float] = np.mean,
+    statistic: Callable[..., Any] = np.mean,
     *,
     confidence: float = 0.95,
     resamples: int = 9999,
     seed: int = 0,
 ) -> tuple[float, float]:
     """Percentile bootstrap interval of a statistic over seeds, or over trials of one plan.
+
+    ``statistic`` takes an array and ``axis``, as ``np.mean`` does.
 
     Equal values are their own.
     """
