@@ -70,14 +70,25 @@ def test_the_movement_begins_where_the_target_stopped_and_goes_on_from_there(mak
     assert goes == pytest.approx([-0.36, -0.52, -0.68, -0.84, -1.0, -1.0, -1.0])
 
 
-def test_what_ends_lying_goes_on_with_the_movement_for_that_posture(make_base, rises):
-    """From the back it rolls to the belly: after 0.2 s and a pause of 0.08 s the next begins."""
+def test_what_ends_on_the_belly_goes_on_at_once(make_base, rises):
+    """From the back it rolls to the belly: after 0.2 s, without a pause, the next begins."""
+    env = make_base(num_envs=1)
+    reference = RiseReference(env, rises=rises, pause=0.4)
+    target = begin(reference, env, "back")
+    goes = [step(reference, RISE, "back" if k < 2 else "belly", target) for k in range(20)]
+    assert goes[4:10] == pytest.approx([-0.5, -0.6, -0.7, -0.8, -0.9, -1.0])
+
+
+def test_what_does_not_arrive_on_the_belly_may_roll_on_before_it_begins_anew(make_base, rises):
+    """On its back after 0.2 s: after a pause of 0.08 s the movement for that begins again."""
     env = make_base(num_envs=1)
     reference = RiseReference(env, rises=rises, pause=0.08)
     target = begin(reference, env, "back")
-    goes = [step(reference, RISE, "back" if k < 2 else "belly", target) for k in range(20)]
-    assert goes[4:7] == pytest.approx([-0.5] * 3)
-    assert goes[7:12] == pytest.approx([-0.6, -0.7, -0.8, -0.9, -1.0])
+    clocks = []
+    for _ in range(9):
+        step(reference, RISE, "back", target)
+        clocks.append(reference.clock.item())
+    assert clocks == [1, 2, 3, 4, 5, 6, 7, 1, 2]
 
 
 def test_what_ends_upright_waits_before_it_begins_anew_as_from_a_kneel(make_base, rises):

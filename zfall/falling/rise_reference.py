@@ -32,8 +32,9 @@ class RiseReference(Transform):
     keyframes of the movement, whatever the policy does. Of several movements for a posture it is
     the one that begins nearest to the angles of the joints.
 
-    Where a movement ends lying, the next one begins ``pause`` seconds later: so the robot rolls
-    from its back to its belly, gets up from there, and tries again if it fell. Where it ends
+    Where a movement was to end on the belly and does, the next one begins at once; where it ends
+    lying otherwise, ``pause`` seconds later: so the robot rolls from its back to its belly, gets
+    up from there, and tries again if it fell. Where it ends
     upright the robot keeps the last keyframe; if it is still in mode RISE after ``patience``
     seconds, it begins anew as from a kneel. A robot that is on its way from belly or kneel to
     standing, and finds itself on its back or side, begins with the movement for that at once.
@@ -44,7 +45,7 @@ class RiseReference(Transform):
 
     Args:
         env: the base env.
-        pause: time after a movement before the next [s].
+        pause: time after a movement before the next, for a robot that may still roll [s].
         patience: time of being upright in mode RISE after which it begins anew [s].
         rises: file of the movements; ``None``: that of the robot.
 
@@ -65,7 +66,7 @@ class RiseReference(Transform):
         self,
         env: HumanoidEnv,
         *,
-        pause: NotNegative = 0.2,
+        pause: NotNegative = 0.4,
         patience: NotNegative = 1.0,
         rises: str | None = None,
     ):
@@ -115,7 +116,8 @@ class RiseReference(Transform):
         """Worlds in which a movement begins, for this posture and these angles ``(N,)`` bool."""
         time = self.clock * self.control_dt
         upright = posture == _KNEEL
-        wait = torch.where(upright, self.patience, self.pause)
+        arrived = (posture == _BELLY) & (self.rises.goal[self.number] == GOALS.index("belly"))
+        wait = torch.where(upright, self.patience, torch.where(arrived, 0.0, self.pause))
         over = self.rises.over(self.number, time - wait)
         getting_up = self.rises.goal[self.number] == GOALS.index("stand")
         stumbled = getting_up & ~upright & (posture != _BELLY)
