@@ -126,20 +126,22 @@ def declaring(env_cfg: DictConfig, attribute: str) -> list[str]:
 
 
 def check_same_interface(
-    configs: dict[str, DictConfig], sees: Mapping[str, str] | None = None
+    configs: dict[str, DictConfig], sees: Mapping[str, str] | None = None, *, rate: bool = True
 ) -> None:
     """Refuses policies, by name the config of each, that do not see or do the same.
 
     Args:
         configs: by name.
         sees: by name the vector that counts in place of ``observation``, if it is another.
+        rate: whether they must do so equally often.
 
     Raises:
         ValueError: naming what differs, or a vector that is not there.
     """
     names = " and ".join(configs)
     seen = dict.fromkeys(configs, "observation") | dict(sees or {})
-    for key in (*(f"transforms.{name}" for name in INTERFACE), "base_env.control_dt"):
+    rates = ["base_env.control_dt"] if rate else []
+    for key in (*(f"transforms.{name}" for name in INTERFACE), *rates):
         if key == "transforms.observation" and {*seen.values()} != {"observation"}:
             values = [_written_to(cfg.env, seen[name], name) for name, cfg in configs.items()]
         else:

@@ -19,7 +19,8 @@ def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = Fals
 
     The deviation of a plain Gaussian that does not depend on the state stays as configured, so
     that the policy explores anew, unless it is kept. Any other deviation goes on; that of
-    a mixture with a lower floor is by as much less, below its cap.
+    a mixture with a lower floor is by as much less, below its cap. Another ``control_dt`` is
+    taken: the policy goes on with more or fewer decisions.
 
     Args:
         learner: before its first update.
@@ -32,7 +33,7 @@ def warm_start(learner: Learner, run: str | Path, *, keep_deviation: bool = Fals
     path = run if isinstance(run, Path) else checkpoint_of(run, key="warm_start")
     content = checkpoint.load(path)
     theirs = OmegaConf.create(content["config"])
-    check_same_interface({str(run): theirs, "this run": learner.cfg})
+    check_same_interface({str(run): theirs, "this run": learner.cfg}, rate=False)
     robot = identity_of(learner.env.base_env.robot)
     checkpoint.check_fits(content, robot, learner.actor, path)
     for key, otherwise in UNTOLD.items():
