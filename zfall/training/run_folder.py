@@ -11,21 +11,25 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
 
 from zfall import checkpoint
 from zfall.commands import remove_if_empty
+from zfall.files import written_whole
 from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
+from zfall.training.makers import make_file
 from zfall.training.optimizers import learning_rates
 from zfall.training.parts import drop_parts, write_part
 from zfall.training.ranks import ALONE, Ranks
 from zfall.training.rows import append_row, keep_rows
-from zfall.training.stages import begin_stage, checkpoint_of_stage, stages_of, written_out
+from zfall.training.stages import begin_stage, stages_of, written_out
 from zfall.trust import targets_of, trusting
 from zfall.versions import versions
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
+BEGUN = "checkpoints/begun.json"  # of a run that begins with a stage that makes something
 WINDOW = 10  # updates over which the best checkpoint is looked for
 
 
@@ -67,8 +71,8 @@ def owned(folder: Path) -> Iterator[None]:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether something was trained in a folder."""
-    return any((folder / name).exists() for name in ("metrics.csv", "checkpoints/last.pt"))
+    """Whether something was trained or made in a folder."""
+    return any((folder / name).exists() for name in ("metrics.csv", "checkpoints/last.pt", BEGUN))
 
 
 @contextmanager
@@ -110,6 +114,29 @@ def check_version(state: dict[str, Any], folder: Path) -> None:
             f"{folder} must be a run of version {VERSION} to go on with it, got "
             f"{state.get('version')}; its policy can be read, its training begins anew."
         )
+
+
+def write_begun(cfg: DictConfig, folder: Path) -> None:
+    """Writes what ``load_begun`` reads: all that goes on from before the first checkpoint."""
+    (folder / BEGUN).parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(folder / BEGUN) as new:
+        new.write_text(json.dumps({"version": VERSION, "whole_config": written_out(cfg)}))
+
+
+def load_begun(folder: Path) -> dict[str, Any]:
+    """What a run was begun with that has no checkpoint yet, in the form of that of ``last.pt``.
+
+    Raises:
+        ValueError: if there is none, or it is damaged.
+    """
+    path = folder / BEGUN
+    if not path.is_file():
+        raise ValueError(f"resume must be a run with checkpoints/last.pt, {folder} has none yet.")
+    try:
+        begun = dict(json.loads(path.read_text()))
+        return {"version": begun["version"], "whole_config": str(begun["whole_config"])}
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} must be as it was written, it is damaged: begin anew.") from error
 
 
 class RunFolder:
@@ -212,20 +239,35 @@ class RunFolder:
         if name == "last":
             drop_parts(self.folder, self.updates(learner))
 
-    def next_stage(self, learner: Learner) -> Learner:
+    def next_stage(self, learner: Learner | None) -> Learner | None:
         """Keeps what the stage at hand came to; returns the learner of the next.
 
-        Nothing can be done with the learner of the stage that is over.
+        Nothing can be trained with the learner of the stage that is over. It is returned if the
+        next one makes something in place of training.
+
+        Args:
+            learner: of the stage at hand, or of the one that trained before it.
         """
-        assert self.stage.name is not None
-        self.save(learner, checkpoint_of_stage(self.folder, self.stage.name).stem)
-        self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
-        self.ranks.wait()
+        if learner is not None and self.stage.make is None:
+            assert self.stage.name is not None
+            self.save(learner, self.stage.name)
+            self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
+            self.ranks.wait()
+            learner.worlds.close()
         self.stage = self.stages[self.stage.number]
+        if self.stage.make is not None:
+            return learner
         self.recent, self.best = [], ()
-        learner.worlds.close()
         with trusting(targets_of(self.cfg)):  # all of them were built before the first began
             return begin_stage(self.stage, self.folder, self.ranks)
+
+    def make_stage(self, console: Console) -> None:
+        """Makes what the stage at hand makes in place of training, if it is not there."""
+        stage = self.stage
+        assert stage.make is not None
+        assert stage.name is not None
+        with trusting(targets_of(self.cfg)):
+            make_file(stage.make, stage.name, self.folder, stage.files, self.ranks, console)
 
     @property
     def at_last_stage(self) -> bool:
