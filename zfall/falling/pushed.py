@@ -1,6 +1,7 @@
 """Trials of a battery, all at once, whose pushes begin in any physics step."""
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from zfall.policies import load_policy
 PUSH_TIME = 0.52  # [s], whole control steps of 20 and 40 ms; pushes begin somewhere in the last
 
 
+@cache
 def world_of(name: str | None) -> World | None:
     """The hardware of a battery, by its name; ``None``: that of each env."""
     return None if name is None else load_battery(name).world

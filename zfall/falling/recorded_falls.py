@@ -62,7 +62,9 @@ class Falls:
         env: HumanoidEnv = getattr(worlds, "base_env", worlds)
         self.worlds = worlds
         bank = load_bank(path, env.robot, needs=PUSH_KEYS, name="falls")
-        self.states = {key: bank[key] for key in STATE_KEYS}
+        # Where commands are late, those from before still act.
+        late = ("target",) if worlds is not env and "target" in bank else ()
+        self.states = {key: bank[key] for key in (*STATE_KEYS, *late)}
         self.force, self.left = bank["push_force"], bank["push_left"][:, 0]
         self.env, count = env, len(self.force)
         velocity = torch.empty(count, 2)

@@ -22,6 +22,7 @@ from zfall.training.warm_start import warm_start
 # Keys that are the run's.
 OF_THE_RUN = (
     *("stages", "experiment", "resume", "trust", "name", "logger", "showcase"),
+    *("recover",),
     "checkpoint_every",
 )
 _MADE = re.compile(r"/(?:checkpoints|made)/(\w+)\.\w+")  # what a stage came to, in a folder

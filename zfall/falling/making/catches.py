@@ -7,6 +7,7 @@ from typing import ClassVar
 from rich.console import Console
 
 from zfall.falling.banks import PUSH_KEYS, load_bank
+from zfall.falling.making.progress import Progress
 from zfall.falling.movements import (
     HEADINGS,
     Catches,
@@ -21,7 +22,6 @@ from zfall.robots import DEFAULT
 from zfall.values import Count, Name, Positive, Seed, Whole
 
 OUTCOMES = "outcomes.txt"  # what came of each search, written once all are over
-_SO_FAR, _LINES = "so_far.npz", "so_far.txt"  # the same while it goes on
 
 
 class SearchedCatches:
@@ -88,21 +88,16 @@ class SearchedCatches:
 
     def make(self, path: Path, console: Console) -> None:
         """Writes the movements, and ``outcomes.txt`` with what comes of each on all its falls."""
-        so_far, told = path.with_name(_SO_FAR), path.with_name(_LINES)
-        catches, lines = self.first, list[str]()
-        if so_far.is_file() and told.is_file():
-            catches, lines = load_catches(DEFAULT, so_far), told.read_text().splitlines()
+        progress, catches = Progress(path.parent), self.first
+        if progress.found is not None:
+            catches = load_catches(DEFAULT, progress.found)
         worlds = falling_worlds(self.search.candidates * self.search.trials, self.world)
-        falls = Falls(worlds, self.falls)
-        for attempt in improve(catches, falls, self.search, self.headings, begin=len(lines)):
-            lines.append(str(attempt))
-            console.print(lines[-1], soft_wrap=True)
-            save_catches(so_far, *catches)
-            told.write_text("".join(f"{line}\n" for line in lines))
+        falls, begin = Falls(worlds, self.falls), len(progress.lines)
+        for attempt in improve(catches, falls, self.search, self.headings, begin=begin):
+            console.print(str(attempt), soft_wrap=True)
+            progress.add(str(attempt), lambda file: save_catches(file, *catches))
         save_catches(path, *catches)
-        path.with_name(OUTCOMES).write_text("".join(f"{line}\n" for line in lines))
-        for part in (so_far, told):
-            part.unlink(missing_ok=True)
+        progress.end(path.with_name(OUTCOMES))
 
     def stand_in(self, path: Path) -> None:
         """Writes the movements with which the search begins."""

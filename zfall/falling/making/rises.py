@@ -7,14 +7,14 @@ from typing import Any, ClassVar
 from rich.console import Console
 
 from zfall.falling.lying import load_lying, lying_path
+from zfall.falling.making.progress import Progress
 from zfall.falling.rise_search import LyingWorlds, search_rise
 from zfall.falling.rises import Rises, load_rises, save_rises, written_rises
 from zfall.falling.search import CrossEntropySearch
 from zfall.robots import DEFAULT
 from zfall.values import Count, Name, Positive, Seed
 
-_SO_FAR = "so_far.npz"  # movements, of which those that are named in OUTCOMES are searched
-_OUTCOMES = "outcomes.txt"
+OUTCOMES = "outcomes.txt"  # what came of each search
 
 
 class SearchedRises:
@@ -76,31 +76,30 @@ class SearchedRises:
 
     def make(self, path: Path, console: Console) -> None:
         """Writes the movements, and ``outcomes.txt`` with what comes of each."""
-        so_far, outcomes = path.with_name(_SO_FAR), path.with_name(_OUTCOMES)
-        rises, lines = self._so_far(so_far, outcomes)
-        done = [line.partition(":")[0] for line in lines]
-        if left := [name for name in self.names if name not in done]:
-            search, seed = self.search, self.search.seed
+        progress, known = Progress(path.parent), self.known
+        rises = known._replace(keyframes=known.keyframes.clone())
+        if progress.found is not None:
+            rises = load_rises(DEFAULT, progress.found)
+        if left := self.names[len(progress.lines) :]:
+            search = self.search
             worlds = LyingWorlds(search.candidates * search.trials, self.bank)
         for name in left:
-            worlds.env.set_seed(seed)  # so that it is the same by itself
-            before, after = search_rise(worlds, rises, name, search)
-            shares = [f"{each.reached.float().mean():.2f}" for each in (before, after)]
-            scores = [f"{each.score.mean():.2f}" for each in (before, after)]
-            lines.append(f"{name}: {' -> '.join(shares)} reach it, score {' -> '.join(scores)}")
-            console.print(lines[-1], soft_wrap=True)
-            save_rises(so_far, rises)
-            outcomes.write_text("".join(f"{line}\n" for line in lines))
+            worlds.env.set_seed(search.seed)  # so that it is the same by itself
+            line = f"{name}: {self._searched(worlds, rises, name)}"
+            console.print(line, soft_wrap=True)
+            progress.add(line, lambda file: save_rises(file, rises))
         save_rises(path, rises)
-        so_far.unlink(missing_ok=True)
+        progress.end(path.with_name(OUTCOMES))
 
     def stand_in(self, path: Path) -> None:
         """Writes the movements with which the search begins."""
         save_rises(path, self.known)
 
-    def _so_far(self, so_far: Path, outcomes: Path) -> tuple[Rises, list[str]]:
-        """Movements from which to go on, and what came of those that are searched."""
-        if so_far.is_file() and outcomes.is_file():
-            return load_rises(DEFAULT, so_far), outcomes.read_text().splitlines()
-        rises = self.known
-        return rises._replace(keyframes=rises.keyframes.clone()), []
+    def _searched(self, worlds: LyingWorlds, rises: Rises, name: str) -> str:
+        """Searches a movement; what came of it."""
+        if not len(worlds.rows(rises, rises.names.index(name))):
+            return "no starts for it, left as is"
+        before, after = search_rise(worlds, rises, name, self.search)
+        shares = [f"{each.reached.float().mean():.2f}" for each in (before, after)]
+        scores = [f"{each.score.mean():.2f}" for each in (before, after)]
+        return f"{' -> '.join(shares)} reach it, score {' -> '.join(scores)}"

@@ -13,7 +13,7 @@ from zfall.commands import shown_path
 from zfall.envs.tables import keep
 from zfall.evaluation.writers import markdown
 from zfall.falling import trigger
-from zfall.falling.fall_network import SHIPPED, FallNetwork, save_fall_network
+from zfall.falling.fall_network import SEEN, FallNetwork, save_fall_network
 from zfall.falling.plots import reliability_plot, reliability_table, trigger_plot
 from zfall.falling.pushed import check_world_name, pushed_policy
 from zfall.terminal import Sheet, print_sheet
@@ -56,7 +56,7 @@ class TrainedTrigger:
         keep: Sequence[Name] | None = None,
         world: Name | None = None,
         seed: Seed = 0,
-        measured: Names = tuple(SHIPPED["keys"]),
+        measured: Names = SEEN,
         hidden_size: Count = 32,
         epochs: Count = 40,
         starts: Count = 6,
