@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from zfall.rotations import (
     cos_tilt,
     from_angles,
+    from_rotation_vector,
     heading,
     mean_orientation,
     roll_and_pitch,
@@ -108,6 +109,19 @@ def test_rotation_vector_is_the_logarithm_whatever_the_sign_of_the_quaternion(tu
 def test_rotation_vector_of_small_and_large_turns_in_float32(angle):
     turn = torch.tensor(wxyz(Rotation.from_rotvec([0.0, angle, 0.0]))).float()
     np.testing.assert_allclose(rotation_vector(turn)[0, 1], angle, rtol=1e-5, atol=1e-12)
+
+
+def test_from_rotation_vector_is_the_exponential(turns):
+    quaternion, rotation = turns
+    found = from_rotation_vector(torch.tensor(rotation.as_rotvec()))
+    sign = torch.where(quaternion[:, :1] < 0, -1, 1)  # the shorter way round
+    np.testing.assert_allclose(found, sign * quaternion, atol=1e-10)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 1e-4, 3.14])
+def test_from_rotation_vector_and_back_in_float32(angle):
+    vector = torch.tensor([[0.0, angle, 0.0]])
+    np.testing.assert_allclose(rotation_vector(from_rotation_vector(vector)), vector, rtol=1e-5)
 
 
 def test_mean_orientation_is_halfway(turns):

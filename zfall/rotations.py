@@ -113,6 +113,14 @@ def rotation_vector(quaternion: Tensor) -> Tensor:
     return axis * torch.where(sine > 1e-7, angle / sine.clamp_min(1e-7), 2.0)
 
 
+def from_rotation_vector(vector: Tensor) -> Tensor:
+    """Quaternion ``(*B, 4)`` of axis times angle ``(*B, 3)`` [rad], the exponential."""
+    angle = vector.norm(dim=-1, keepdim=True)
+    half = 0.5 * angle
+    scale = torch.where(angle > 1e-7, half.sin() / angle.clamp_min(1e-7), 0.5)
+    return torch.cat([half.cos(), scale * vector], -1)
+
+
 def turn_to_heading(quaternion: Tensor, vector: Tensor) -> Tensor:
     """A level vector ``(*B, 2)`` of the world, seen along the heading of a body.
 

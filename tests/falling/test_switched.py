@@ -9,6 +9,7 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 from tests.recurrent import SHAPES, live_through
 from zfall import checkpoint
+from zfall.configs import compose_config
 from zfall.falling.switched import (
     SwitchedActor,
     sensing_and_acting,
@@ -152,3 +153,12 @@ def test_a_policy_and_the_script_make_a_checkpoint_that_acts(tmp_path):
 def test_what_cannot_be_switched_is_refused(recover, kneel, message):
     with pytest.raises(ValueError, match=message):
         switched_checkpoint(recover, kneel)
+
+
+def test_where_the_robot_rises_the_table_says_when_it_rests_and_how_its_tilt_is_known():
+    """Not 0.1 m/s, as where a kneel is the end, and not the filter for small angles."""
+    content = switched_checkpoint("twin", "script", env="push_to_stand")
+    transforms = OmegaConf.create(content["config"]).env.transforms
+    table = compose_config(["env=push_to_stand"]).env.transforms
+    assert transforms.mode.rest_speed == table.mode.rest_speed > 0.1
+    assert transforms.tilt["_target_"].endswith("MahonyFilter")

@@ -244,9 +244,11 @@ def begins_kneeling(env_cfg: DictConfig) -> bool:
 def without_exploration(env_cfg: DictConfig) -> DictConfig:
     """The env's config with the bounds of rest of a policy that does not explore.
 
-    They are 0.1 m/s and rad/s, see ``ModeMachine``.
+    They are 0.1 m/s and rad/s, see ``ModeMachine``. Where the robot rises after rest, they stay.
     """
     new = env_cfg.copy()
+    if OmegaConf.select(env_cfg, "transforms.mode.rise") is not None:
+        return new
     for key in ("rest_speed", "rest_joint_speed"):
         OmegaConf.update(new, f"transforms.mode.{key}", 0.1, force_add=True)
     return new

@@ -165,6 +165,7 @@ TABLE = {  # in the order of a yaml
         "rise": 0.08,
     },
     "tilt": {"_target_": f"{_ESTIMATION}.TiltKalmanFilter"},
+    "up": {"_target_": f"{_ESTIMATION}.MahonyFilter"},
     "angles": {"_target_": f"{_SENSING}.TiltAngles"},
     "differences": {"_target_": f"{_ESTIMATION}.NumericalVelocity"},
     "speed": {"_target_": f"{_ESTIMATION}.JointVelocityKalmanFilter"},
@@ -204,7 +205,7 @@ TABLE = {  # in the order of a yaml
     "near": {"_target_": f"{_SENSING}.CAPSNeighbours", "sigma": 0.1},
 }
 # Some measure the same; each goes with one kind of target.
-OF_TARGET = {"position": {"tilt", "speed"}, "velocity": {"angles", "differences"}}
+OF_TARGET = {"position": {"tilt", "up", "speed"}, "velocity": {"angles", "differences"}}
 NEEDS = {  # other rows that a row cannot be without
     "curriculum": {"start"},
     "kneel_reference": {"mode"},
@@ -228,6 +229,7 @@ def choose(target: str, names: set[str]) -> dict[str, Any]:
     names = names - OF_POSITION if target == "velocity" else names
     names = names.union(*(NEEDS.get(name, set()) for name in names))
     names = names - (set.union(*OF_TARGET.values()) - OF_TARGET[target])
+    names = names - {"up"} if "tilt" in names else names  # the same, too
     chosen = {name: TABLE[name] for name in TABLE if name in names}
     return copy.deepcopy({"action": TARGETS[target]} | chosen)
 

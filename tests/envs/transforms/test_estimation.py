@@ -15,10 +15,12 @@ from zfall.envs.make import make_env
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.estimation import (
     JointVelocityKalmanFilter,
+    MahonyFilter,
     NumericalVelocity,
     TiltKalmanFilter,
     steady_update,
 )
+from zfall.envs.transforms.estimation.tilt_laws import OnSphere
 from zfall.envs.transforms.observations import ObservationNoise, ObservationVector
 from zfall.rotations import roll_and_pitch, rotate_inverse
 from zfall.static_checks import check_nodes
@@ -163,6 +165,94 @@ def test_angle_follows_through_a_whole_turn(make_base):
         assert_close(td["measured", "tilt"][:, 0], angle, atol=1e-4, rtol=0)
 
 
+def turned_imu(body: Rotation, rate: np.ndarray) -> TensorDict:
+    """What bodies with these orientations and rates measure at rest ``(N, 3)``."""
+    up = torch.tensor(body.inv().apply([0.0, 0.0, 1.0])).float()
+    quaternion = torch.tensor(body.as_quat()[:, [3, 0, 1, 2]]).float()
+    return TensorDict(
+        {
+            "base_orientation": quaternion,
+            "base_angular_velocity": torch.tensor(rate).float(),
+            "base_acceleration": 9.81 * up,
+            "projected_gravity": -up,
+        },
+        [len(rate)],
+    )
+
+
+def test_mahony_filter_is_the_kalman_filter_for_small_angles(make_base):
+    """Sway of 0.02 rad about both axes under a gyro with a bias: to second order in the tilt."""
+    base = make_base(num_envs=4, control_dt=DT)
+    filters = [cls(base, angle_std=0.05) for cls in (TiltKalmanFilter, MahonyFilter)]
+    phase, bias = 6 * np.random.default_rng(0).random((4, 2)), 0.03
+    for step in range(101):
+        turn = 3 * step * DT + phase
+        rate = np.pad(0.06 * np.cos(turn), ((0, 0), (0, 1)))
+        td = turned_imu(Rotation.from_rotvec(np.pad(0.02 * np.sin(turn), ((0, 0), (0, 1)))), rate)
+        td["measured", "base_angular_velocity"] = td["base_angular_velocity"] + bias
+        if step == 0:
+            got = [f._reset(TensorDict(batch_size=[4]), td.clone()) for f in filters]
+        else:
+            got = [f._call(td.clone()) for f in filters]
+        for key in ("tilt", "gyro_bias"):
+            one, other = (each["measured", key] for each in got)
+            assert_close(one, other, atol=2e-3, rtol=0)
+    assert (got[1]["measured", "gyro_bias"] > 0.2 * bias).all()
+
+
+def test_up_follows_a_body_that_tumbles_about_any_axis():
+    """Constant rates of the body, up to thirteen turns: SciPy's rotations, with gains of zero."""
+    law, matrix = OnSphere(), torch.tensor([[1.0, 0.0], [-DT, 1.0], [DT, 0.0], [0.0, 0.0]])
+    rate = 4.0 * np.random.default_rng(0).standard_normal((16, 3))
+    begin = Rotation.random(16, random_state=0)
+    state = law.begin(9.81 * turned_imu(begin, rate)["base_acceleration"])
+    for _ in range(400):
+        state = law.after(state, torch.tensor(rate).float(), torch.randn(16, 3), matrix)
+    after = turned_imu(begin * Rotation.from_rotvec(400 * DT * rate), rate)
+    assert_close(state[..., 0], -after["projected_gravity"], atol=1e-4, rtol=0)
+    assert_close(law.tilt(state), roll_and_pitch(-after["projected_gravity"]), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize(("cls", "good"), [(MahonyFilter, True), (TiltKalmanFilter, False)])
+def test_a_robot_that_rolled_over_on_the_floor_knows_its_tilt_when_it_stands(make_base, cls, good):
+    """Down on its belly in half a second, in four over its side and back, and up as fast."""
+    base = make_base(num_envs=1, control_dt=DT)
+    transform = cls(base)
+    down, over = np.linspace(0, np.pi / 2, 26)[1:], np.linspace(0, 2 * np.pi, 201)[1:]
+    pitch = np.concatenate([down, np.full(200, np.pi / 2), down[-2::-1], np.zeros(2)])
+    turn = np.concatenate([np.zeros(25), over, np.zeros(26)])
+    before = Rotation.identity(1)
+    transform._reset(TensorDict(batch_size=[1]), turned_imu(before, np.zeros((1, 3))))
+    for angle, around in zip(pitch, turn, strict=True):
+        body = Rotation.from_rotvec([[0.0, angle, 0.0]]) * Rotation.from_rotvec([[0, 0, around]])
+        rate = (before.inv() * body).as_rotvec() / DT
+        transform.rate = torch.tensor(rate).float()[:, : transform.law.axes]  # as in between
+        td, before = transform._call(turned_imu(body, rate)), body
+    error = (td["measured", "tilt"] - td["tilt"]).abs().max()
+    assert error < 0.01 if good else error > 0.3
+
+
+@pytest.mark.parametrize("cls", [TiltKalmanFilter, MahonyFilter])
+def test_filter_of_the_tilt_is_the_same_on_the_robot(make_base, cls):
+    """From a robot that stands still, as it is switched on."""
+    base = make_base(num_envs=1, control_dt=DT)
+    transform = cls(base, also=["projected_gravity"])
+    robot, generator = transform.on_robot(), np.random.default_rng(2)
+    td = transform._reset(
+        TensorDict(batch_size=[1]), turned_imu(Rotation.identity(1), np.zeros((1, 3)))
+    )
+    states, begin = dict(robot.states), True
+    for _ in range(30):
+        known = {**td, "begin": torch.tensor([[begin]])}
+        known |= {("state", name): value for name, value in states.items()}
+        robot.observe(known)
+        for key in ("tilt", "gyro_bias", "projected_gravity"):
+            assert_close(known["measured", key], td["measured", key], atol=1e-5, rtol=0)
+        states, begin = {name: known["next", name] for name in states}, False
+        body = Rotation.from_rotvec(2.0 * generator.standard_normal((1, 3)))
+        td = transform._call(turned_imu(body, generator.standard_normal((1, 3))))
+
+
 def joints(angle: torch.Tensor, velocity: torch.Tensor) -> TensorDict:
     return TensorDict({"joint_position": angle, "joint_velocity": velocity}, [len(angle)])
 
@@ -218,7 +308,9 @@ def test_difference_is_exact_for_a_steady_motion(make_base):
         assert_close(td["measured", "joint_velocity"], speed, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("cls", [TiltKalmanFilter, JointVelocityKalmanFilter, NumericalVelocity])
+@pytest.mark.parametrize(
+    "cls", [TiltKalmanFilter, MahonyFilter, JointVelocityKalmanFilter, NumericalVelocity]
+)
 def test_partial_reset_equals_a_full_one_on_its_rows_and_none_on_the_others(make_base, cls):
     base = make_base(num_envs=2, control_dt=DT)
 
@@ -227,7 +319,7 @@ def test_partial_reset_equals_a_full_one_on_its_rows_and_none_on_the_others(make
         return imu(roll, rate).update(joints(torch.randn(2, 20), torch.randn(2, 20)))
 
     course = [random() for _ in range(4)]
-    key = ("measured", "tilt" if cls is TiltKalmanFilter else "joint_velocity")
+    key = ("measured", "tilt" if issubclass(cls, TiltKalmanFilter) else "joint_velocity")
     results = {}
     for name, rows in {"part": [True, False], "full": [True, True], "none": None}.items():
         transform = cls(base)

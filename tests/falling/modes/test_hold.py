@@ -48,3 +48,15 @@ def test_what_is_held_is_forgotten_at_a_reset(make_base):
     hold._reset(reset, TensorDict({"joint_position": places}, batch_size=[2]))
     td = TensorDict({"mode": stable, "target": torch.zeros(2, 20)}, batch_size=[2])
     assert torch.equal(hold._inv_call(td)["target"], torch.stack([env.stand_position, places[1]]))
+
+
+def test_what_is_held_from_the_begin_is_the_target_of_the_start(make_base):
+    """Where the start says what the servos followed; NaN: nobody knows, the joints stay."""
+    env = make_base(num_envs=2)
+    hold, stable = StableHold(env), torch.tensor([[0.0, 0, 1]] * 2)
+    places, followed = torch.full((2, 20), 0.2), torch.full((2, 20), 0.3)
+    followed[1] = torch.nan
+    begin = TensorDict({"start": {"target": followed}}, batch_size=[2])
+    hold._reset(begin, TensorDict({"joint_position": places}, batch_size=[2]))
+    td = TensorDict({"mode": stable, "target": torch.zeros(2, 20)}, batch_size=[2])
+    assert torch.equal(hold._inv_call(td)["target"], torch.stack([followed[0], places[1]]))

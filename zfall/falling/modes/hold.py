@@ -6,6 +6,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.envs.transforms.actions.commands import targets_before
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.values import reset_rows
 from zfall.falling.modes.machine import STABLE
@@ -15,7 +16,8 @@ class StableHold(Transform):
     """Keeps the last target of the servos in mode STABLE, whatever the policy does.
 
     Keys: reads ``mode`` ``(N, 3)``; changes ``target`` ``(N, J)`` [rad] and, where there is one,
-    ``control`` ``(N, S, J)`` [rad]. Comes after the transforms that make these.
+    ``control`` ``(N, S, J)`` [rad]. Comes after the transforms that make these. An episode that
+    begins in STABLE keeps ``("start", "target")``, or the angles of its joints.
 
     Args:
         env: the base env.
@@ -49,5 +51,6 @@ class StableHold(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict, self)[:, None]
-        self.held = torch.where(rows, tensordict_reset["joint_position"], self.held)
+        before = targets_before(tensordict, tensordict_reset["joint_position"])
+        self.held = torch.where(rows, before, self.held)
         return tensordict_reset

@@ -1,5 +1,7 @@
 """Pushes: impulses integrated, times counted."""
 
+import math
+
 import pytest
 import torch
 from torch.testing import assert_close
@@ -7,6 +9,7 @@ from torch.testing import assert_close
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.pushes import RandomPush, ScriptedPush
 from zfall.robots import ZEROTH01
+from zfall.rotations import wrap
 
 ACTION = {"action": (JointPositionTarget, {"scale": 1.0})}
 RATES = [(0.04, 0.004), (0.02, 0.004), (0.035, 0.005), (0.01, 0.0025)]
@@ -163,6 +166,22 @@ def test_headings_cover_the_circle_and_pushes_stay_level(make_task):
     assert counts.min() > 256 / 4 - 5 * (256 * 3 / 16) ** 0.5  # five sigma
 
 
+def test_each_world_is_pushed_from_its_own_part_of_the_circle(make_task):
+    """Four parts: forward, left, backward and right, each 90 degrees wide and filled."""
+    env = pushed(
+        make_task,
+        {"force": (5.0, 5.0), "duration": 0.05, "interval": (0.0, 0.1), "sectors": 4},
+        num_envs=256,
+    )
+    force = wrenches(env, 0.2).sum((1, 2))
+    middle = torch.arange(256) % 4 * math.pi / 2
+    away = wrap(torch.atan2(force[:, 1], force[:, 0]) - middle)
+    assert away.abs().max() < math.pi / 4 + 1e-5
+    for part in range(4):  # uniform: five sigma of the mean of 64
+        assert abs(away[part::4].mean()) < 5 * (math.pi / 2) / (12 * 64) ** 0.5
+        assert away[part::4].std() == pytest.approx((math.pi / 2) / 12**0.5, rel=0.25)
+
+
 def test_partial_reset_redraws_only_its_rows(make_task):
     env = pushed(
         make_task, {"force": (1.0, 9.0), "duration": 0.1, "interval": (1.0, 2.0)}, num_envs=8
@@ -241,6 +260,8 @@ def test_mean_time_from_push_to_push_is_the_one_asked(make_task):
     ({"duration": 0.0}, r"duration must be positive, got \[0.0, 0.0\]"),
     ({"interval": (2.0, 1.0)}, r"interval must be \[smallest, largest\], got \[2.0, 1.0\]"),
     ({"size": (0.1, 0.2)}, "give just one of force, impulse, size, axes, got force, size"),
+    ({"sectors": 4, "direction": "spherical"}, "sectors must be null, or 1 and more for planar"),
+    ({"sectors": 0}, "sectors must be null, or 1 and more for planar directions, got 0"),
     ({"force": None}, "give just one of force, impulse, size, axes, got none"),
 ])  # fmt: skip
 def test_bad_values_are_refused(make_base, values, message):

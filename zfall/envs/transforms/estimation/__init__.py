@@ -11,6 +11,12 @@ from zfall.envs.transforms.estimation.joint_velocity import (
     NumericalVelocity,
 )
 from zfall.envs.transforms.estimation.steady import steady_update
-from zfall.envs.transforms.estimation.tilt import TiltKalmanFilter
+from zfall.envs.transforms.estimation.tilt import MahonyFilter, TiltKalmanFilter
 
-__all__ = ["JointVelocityKalmanFilter", "NumericalVelocity", "TiltKalmanFilter", "steady_update"]
+__all__ = [
+    "JointVelocityKalmanFilter",
+    "MahonyFilter",
+    "NumericalVelocity",
+    "TiltKalmanFilter",
+    "steady_update",
+]

@@ -1,7 +1,7 @@
 """Roll and pitch from the accelerometer and the gyro."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.on_robot import Known, OnRobot, at_begin, seen
 from zfall.envs.transforms.base_env import base_env_of, needs_env
 from zfall.envs.transforms.estimation.steady import steady_update
+from zfall.envs.transforms.estimation.tilt_laws import OnSphere, PerAxis, TiltLaw
 from zfall.envs.transforms.observations.measured import (
     check_not_measured,
     measured_key,
@@ -41,7 +42,7 @@ class TiltKalmanFilter(Transform):
     The rate is the mean of the gyro's last two values. Roll is driven by the rate about x, pitch
     by that about y, which is exact for one axis at a time and of second order in the tilt beyond
     it. While the body accelerates or falls the accelerometer does not point up: that is what
-    ``angle_std`` must cover.
+    ``angle_std`` must cover. A robot that lies and gets up needs a ``MahonyFilter``.
 
     Keys: reads ``base_acceleration`` [m/s2] and ``base_angular_velocity`` [rad/s] ``(N, 3)``,
     measured if they are, and the true ``projected_gravity`` ``(N, 3)``; writes ``tilt``
@@ -65,6 +66,7 @@ class TiltKalmanFilter(Transform):
     """
 
     estimates = "tilt"
+    law: ClassVar[TiltLaw] = PerAxis()
     matrix: Tensor
     state: Tensor
     rate: Tensor
@@ -99,24 +101,27 @@ class TiltKalmanFilter(Transform):
         self.kalman.Q = np.diag([(gyro_std * dt) ** 2, bias_rate**2 * dt])
         self.kalman.R = np.array([[angle_std**2]])
         self.register_buffer("matrix", steady_update(self.kalman))
-        # Angle and bias of both axes, and the gyro's last rates.
-        self.register_buffer("state", torch.zeros(env.num_envs, 2, 2))
-        self.register_buffer("rate", torch.zeros(env.num_envs, 2))
+        # What the law keeps, and the gyro's last rates.
+        self.register_buffer("state", torch.zeros(env.num_envs, self.law.axes, 2))
+        self.register_buffer("rate", torch.zeros(env.num_envs, self.law.axes))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        rate = read_measured(next_tensordict, "base_angular_velocity")[..., :2]
-        angle = roll_and_pitch(read_measured(next_tensordict, "base_acceleration"))
-        self.state = _updated(self.state, (self.rate + rate) / 2.0, angle, self.matrix)
+        rate = self._rate(next_tensordict)
+        ahead = read_measured(next_tensordict, "base_acceleration")
+        self.state = self.law.after(self.state, (self.rate + rate) / 2.0, ahead, self.matrix)
         self.rate = rate.clone()
         return self._write(next_tensordict)
 
+    def _rate(self, tensordict: TensorDictBase) -> Tensor:
+        return read_measured(tensordict, "base_angular_velocity")[..., : self.law.axes]
+
     def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
         tensordict["tilt"] = roll_and_pitch(-tensordict["projected_gravity"])
-        tensordict["measured", "tilt"] = self.state[..., 0].clone()
-        tensordict["measured", "gyro_bias"] = self.state[..., 1].clone()
+        angles = tensordict["measured", "tilt"] = self.law.tilt(self.state)
+        tensordict["measured", "gyro_bias"] = self.state[..., :2, 1].clone()
         if self.also:
             ahead = heading(tensordict["base_orientation"])
-            estimate = from_angles(torch.cat([self.state[..., 0], ahead], -1))
+            estimate = from_angles(torch.cat([angles, ahead], -1))
             values = {"base_orientation": estimate, "projected_gravity": -up_axis(estimate)}
             for key in self.also:
                 tensordict["measured", key] = values[key]
@@ -126,9 +131,8 @@ class TiltKalmanFilter(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict, self)[:, None]
-        true = roll_and_pitch(-tensordict_reset["projected_gravity"])
-        start = torch.stack([true, torch.zeros_like(true)], -1)
-        rate = read_measured(tensordict_reset, "base_angular_velocity")[..., :2]
+        start = self.law.begin(-tensordict_reset["projected_gravity"])
+        rate = self._rate(tensordict_reset)
         self.state = torch.where(rows[..., None], start, self.state)
         self.rate = torch.where(rows, rate, self.rate)
         return self._write(tensordict_reset)
@@ -138,41 +142,55 @@ class TiltKalmanFilter(Transform):
 
         Its heading is not known: ``base_orientation`` is not among what it gives.
         """
-        return _TiltOnRobot(self.matrix, [key for key in self.also if key != "base_orientation"])
+        return _TiltOnRobot(
+            self.law, self.matrix, [key for key in self.also if key != "base_orientation"]
+        )
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         base_env_of(self)
         for key in self.out_keys:
             check_not_measured(observation_spec, "TiltKalmanFilter", key)
             follows = isinstance(key, tuple) and key[1] in self.also
-            shape = observation_spec[key[1]].shape if follows else self.rate.shape
+            shape = observation_spec[key[1]].shape if follows else (*self.rate.shape[:-1], 2)
             observation_spec[key] = Unbounded(shape)
         return observation_spec
 
 
-def _updated(state: Tensor, rate: Tensor, angle: Tensor, matrix: Tensor) -> Tensor:
-    # Of the angles that mean the same, the one next to the estimate.
-    turns = torch.round((angle - state[..., 0]) / (2.0 * torch.pi))
-    angle = angle - 2.0 * torch.pi * turns
-    return torch.stack([*state.unbind(-1), rate, angle], -1) @ matrix
+class MahonyFilter(TiltKalmanFilter):
+    """Estimates where up is, and the gyro's bias about all axes, in any posture.
+
+    Up is a unit vector in axes of the body. The gyro turns it, exactly for a constant rate; the
+    accelerometer pulls it towards its own direction, and the bias with it. The gains are those of
+    ``TiltKalmanFilter``, which it equals for small angles. Roll and pitch are of the estimated
+    vector. A robot that lies on its belly or rolls over does not spoil it: the other's angles jump
+    there, its bias drifts, and a roll of more than half a turn is never brought back.
+
+    Keys and arguments are those of ``TiltKalmanFilter``.
+
+    Source: Mahony, Hamel, Pflimlin, "Nonlinear complementary filters on the special orthogonal
+    group", IEEE Trans. Automatic Control 2008 (its explicit form, with the accelerometer alone).
+    """
+
+    law = OnSphere()
 
 
 class _TiltOnRobot(OnRobot):
-    def __init__(self, matrix: Tensor, also: Sequence[str]):
-        states = {"tilt_filter": torch.zeros(1, 2, 2), "last_rate": torch.zeros(1, 2)}
+    def __init__(self, law: TiltLaw, matrix: Tensor, also: Sequence[str]):
+        axes = law.axes
+        states = {"tilt_filter": torch.zeros(1, axes, 2), "last_rate": torch.zeros(1, axes)}
         reads = ["base_acceleration", "base_angular_velocity"]
         super().__init__(reads, ["tilt", "gyro_bias", *also], states)
+        self.law = law
         self.register_buffer("matrix", matrix.clone())
 
     def observe(self, known: Known) -> None:
-        rate = seen(known, "base_angular_velocity")[..., :2]
-        angle = roll_and_pitch(seen(known, "base_acceleration"))
+        rate = seen(known, "base_angular_velocity")[..., : self.law.axes]
+        ahead = seen(known, "base_acceleration")
         state, last = known["state", "tilt_filter"], known["state", "last_rate"]
-        start = torch.stack([angle, torch.zeros_like(angle)], -1)
-        after = _updated(state, (last + rate) / 2.0, angle, self.get_buffer("matrix"))
-        state = at_begin(known, start, after)
+        after = self.law.after(state, (last + rate) / 2.0, ahead, self.get_buffer("matrix"))
+        state = at_begin(known, self.law.begin(ahead), after)
         known["next", "tilt_filter"], known["next", "last_rate"] = state, rate
-        tilt, bias = state.unbind(-1)
+        tilt, bias = self.law.tilt(state), state[..., :2, 1]
         known["measured", "tilt"], known["measured", "gyro_bias"] = tilt, bias
         level = torch.cat([tilt, torch.zeros_like(tilt[..., :1])], -1)
         if "projected_gravity" in self.writes:

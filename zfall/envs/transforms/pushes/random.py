@@ -25,6 +25,7 @@ from zfall.envs.transforms.pushes.force import PushForces
 from zfall.envs.transforms.values import NOT_NEGATIVE, POSITIVE, reset_rows
 from zfall.values import (
     Bounds,
+    Count,
     NotNegative,
     NotNegativeBounds,
     Positive,
@@ -60,6 +61,10 @@ class RandomPush(Transform):
             own; what is not named is 0.
         direction: ``planar``, level with a uniform heading; ``spherical``, uniform on the
             sphere; or a fixed vector ``[x, y, z]`` in world axes. Not with ``axes``.
+        sectors: number of equal parts of the circle, the first one centred on x; each world has
+            one of them, from which all its planar pushes come. A ``Curriculum``, which has a level
+            for each world, then makes each direction as hard as it is mastered. ``None``: all
+            worlds are pushed from everywhere.
         profile: how the force goes over the duration: ``rectangular``, ``half_sine``,
             ``gaussian`` or ``ramp``.
 
@@ -94,6 +99,7 @@ class RandomPush(Transform):
         size: NotNegativeBounds | None = None,
         axes: Mapping[str, Bounds] | None = None,
         direction: str | Sequence[float] = "planar",
+        sectors: Count | None = None,
         profile: str = "rectangular",
     ):
         super().__init__(in_keys_inv=[("push", "wrench")], out_keys_inv=[("push", "wrench")])
@@ -132,7 +138,11 @@ class RandomPush(Transform):
             heading(direction, np.zeros((2, 1), np.float32))  # refuses a bad one
         # Kept as given, in its own unit, so that a curriculum can move it.
         self.force, self.impulse, self.size, self.axes = force, impulse, size, axes
-        self.direction = direction
+        if sectors is not None and (direction != "planar" or axes is not None or sectors < 1):
+            raise ValueError(
+                f"sectors must be null, or 1 and more for planar directions, got {sectors}."
+            )
+        self.direction, self.sectors = direction, sectors
         self.control_dt, self.impulse_unit = env.control_dt, env.robot.impulse_unit
         num = env.num_envs
         self.register_buffer("start", torch.full((num,), torch.inf, dtype=torch.float64))
@@ -193,6 +203,9 @@ class RandomPush(Transform):
             strength = strength / (self.forces.profile.mean * duration)
         if self.measure == "size":
             strength = strength * self.impulse_unit
+        if self.sectors is not None:
+            part = (index % self.sectors + u[1] - 0.5) / self.sectors
+            u = np.stack([u[0], part.astype(np.float32), u[2]])
         return strength[:, None] * heading(self.direction, u[1:3])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
