@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import pandas as pd
 import pytest
@@ -112,6 +113,20 @@ def test_killed_in_made_and_in_trained_stages_and_resumed_it_gives_the_same(
             for each in (folder, parts)
         )
         assert all(torch.equal(one[key], other[key]) for key in one)
+
+
+def test_what_is_made_of_a_stage_that_is_made_longer_is_made_anew(whole, tmp_path):
+    folder = shutil.copytree(whole[0], tmp_path / "run")
+    again = [f"resume={folder}", f"hydra.run.dir={tmp_path}/x", TRUST]
+    done = run("train", *again, "+stages.second.total_frames=96")
+    assert done.returncode == 0, done.stderr
+    assert Text.made == []  # what was made before it stays
+    copied, second, before = (
+        checkpoint.load(each / "checkpoints" / f"{name}.pt")["policy"]
+        for each, name in ((folder, "copied"), (folder, "second"), (whole[0], "copied"))
+    )
+    assert all(torch.equal(copied[key], second[key]) for key in copied)
+    assert not all(torch.equal(copied[key], before[key]) for key in copied)
 
 
 def test_ctrl_c_while_a_file_is_made_says_how_to_go_on(tmp_path):

@@ -11,17 +11,16 @@ from zfall.commands import shown_path
 from zfall.configs import plain_containers
 from zfall.meaning import differences, meaning
 from zfall.simulation.model import identity_of
+from zfall.training.begun import BEGUN, load_begun, write_begun
 from zfall.training.learner import Learner
 from zfall.training.loop import free_overrides, number_of_updates, resumed_config
 from zfall.training.parts import with_own_worlds
 from zfall.training.ranks import Ranks
 from zfall.training.run_folder import (
-    BEGUN,
+    VERSION,
     RunFolder,
     check_version,
     holds_run,
-    load_begun,
-    write_begun,
     write_config,
 )
 from zfall.training.stages import (
@@ -111,7 +110,7 @@ def begin(
     if not goes_on and ranks.leads:
         write_config(cfg, overrides, folder)
         if stage.make is not None:
-            write_begun(cfg, folder)
+            write_begun(cfg, folder, VERSION)
     elif state is not None:
         with checkpoint.reading(path):
             notes += run.load_state_dict(state["run"])

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from zfall import checkpoint
 from zfall.commands import remove_if_empty
-from zfall.files import written_whole
+from zfall.training.begun import BEGUN
 from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
 from zfall.training.makers import make_file
@@ -23,13 +23,12 @@ from zfall.training.optimizers import learning_rates
 from zfall.training.parts import drop_parts, write_part
 from zfall.training.ranks import ALONE, Ranks
 from zfall.training.rows import append_row, keep_rows
-from zfall.training.stages import begin_stage, stages_of, written_out
+from zfall.training.stages import begin_stage, remove_made, stages_of, written_out
 from zfall.trust import targets_of, trusting
 from zfall.versions import versions
 
 VERSION = 7  # of what is needed to go on; raise it when that changes
 LOCK = ".lock"  # file in the folder of a run that trains
-BEGUN = "checkpoints/begun.json"  # of a run that begins with a stage that makes something
 WINDOW = 10  # updates over which the best checkpoint is looked for
 
 
@@ -116,29 +115,6 @@ def check_version(state: dict[str, Any], folder: Path) -> None:
         )
 
 
-def write_begun(cfg: DictConfig, folder: Path) -> None:
-    """Writes what ``load_begun`` reads: all that goes on from before the first checkpoint."""
-    (folder / BEGUN).parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(folder / BEGUN) as new:
-        new.write_text(json.dumps({"version": VERSION, "whole_config": written_out(cfg)}))
-
-
-def load_begun(folder: Path) -> dict[str, Any]:
-    """What a run was begun with that has no checkpoint yet, in the form of that of ``last.pt``.
-
-    Raises:
-        ValueError: if there is none, or it is damaged.
-    """
-    path = folder / BEGUN
-    if not path.is_file():
-        raise ValueError(f"resume must be a run with checkpoints/last.pt, {folder} has none yet.")
-    try:
-        begun = dict(json.loads(path.read_text()))
-        return {"version": begun["version"], "whole_config": str(begun["whole_config"])}
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} must be as it was written, it is damaged: begin anew.") from error
-
-
 class RunFolder:
     """The files of a run: metrics, timings, checkpoints, and what its loggers write.
 
@@ -165,6 +141,7 @@ class RunFolder:
         self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
         self.best: tuple[float, ...] = ()
         self.columns: dict[str, list[str]] = {}  # of its csv files
+        self.went_on = False  # the stage at hand, in this process
 
     def write(
         self,
@@ -184,6 +161,7 @@ class RunFolder:
             figures: more, for the loggers alone.
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
+        self.went_on = True
         self.note(metrics)
         if not self.ranks.leads:
             return
@@ -242,16 +220,16 @@ class RunFolder:
     def next_stage(self, learner: Learner | None) -> Learner | None:
         """Keeps what the stage at hand came to; returns the learner of the next.
 
-        Nothing can be trained with the learner of the stage that is over. It is returned if the
+        Nothing can be trained with the learner of the stage that is over, which is returned if the
         next one makes something in place of training.
-
-        Args:
-            learner: of the stage at hand, or of the one that trained before it.
         """
         if learner is not None and self.stage.make is None:
             assert self.stage.name is not None
             self.save(learner, self.stage.name)
             self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
+            if self.went_on and self.ranks.leads:  # else they are of what it came to
+                remove_made(self.stages[self.stage.number :], self.folder)
+            self.went_on = False
             self.ranks.wait()
             learner.worlds.close()
         self.stage = self.stages[self.stage.number]
@@ -263,11 +241,9 @@ class RunFolder:
 
     def make_stage(self, console: Console) -> None:
         """Makes what the stage at hand makes in place of training, if it is not there."""
-        stage = self.stage
-        assert stage.make is not None
-        assert stage.name is not None
+        make, name, files = self.stage.make or {}, str(self.stage.name), self.stage.files
         with trusting(targets_of(self.cfg)):
-            make_file(stage.make, stage.name, self.folder, stage.files, self.ranks, console)
+            make_file(make, name, self.folder, files, self.ranks, console)
 
     @property
     def at_last_stage(self) -> bool:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -199,6 +200,14 @@ def begin_stage(
 def with_files(stage: Stage, folder: Path) -> DictConfig:
     """The config of a stage, with what the stages that it names came to."""
     return OmegaConf.create(filled(OmegaConf.to_container(stage.config), folder, stage.files))
+
+
+def remove_made(stages: Sequence[Stage], folder: Path) -> None:
+    """Removes what stages made in place of training."""
+    for stage in stages:
+        if stage.make is not None:
+            (folder / stage.file).unlink(missing_ok=True)
+            rmtree(folder / "made" / str(stage.name), ignore_errors=True)
 
 
 def stage_reached(cfg: DictConfig, state: Mapping[str, Any] | None) -> Stage:
