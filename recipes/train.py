@@ -61,6 +61,7 @@ def train_in(folder: Path, cfg: DictConfig, ranks: "Ranks") -> None:
 
     from zfall.evaluation.showcase import battery_of, show
     from zfall.training.begin import begin
+    from zfall.training.interrupts import Stopped
     from zfall.training.loop import train_stages
     from zfall.training.run_folder import full_disk_named
 
@@ -75,13 +76,16 @@ def train_in(folder: Path, cfg: DictConfig, ranks: "Ranks") -> None:
             show(learner.cfg, policy, learner.beginning, folder, Console(quiet=True))
         ranks.wait()
 
-    trained = train_stages(learner, run, console, look)
-    if trained is None:
+    try:
+        trained = train_stages(learner, run, console, look)
+    except Stopped:
         line = shell_line("train", f"resume={shown_path(folder)}")
         console.print(f"stopped; go on with: {line}", soft_wrap=True)
-        raise SystemExit(130)
-    showcase = trained.cfg.showcase
-    if showcase and ranks.leads:
+        raise SystemExit(130) from None
+    if run.stage.make is not None:
+        console.print(f"wrote {shown_path(folder / run.stage.file)}", soft_wrap=True)
+    showcase = trained.cfg.showcase if trained else None
+    if trained and showcase and ranks.leads:
         policy = trained.transfers.module_back(trained.policy)
         show(trained.cfg, policy, trained.beginning, folder, console)
         if showcase.video and (folder / "video.mp4").exists():

@@ -21,18 +21,20 @@ from zfall.errors import SPOKEN
 from zfall.values import Count, Name, Positive, Seed, Whole
 
 from ..shell import check_recipe, one_line_errors, start
+from .made import make_one, maker_of
 
 if TYPE_CHECKING:
     from zfall.falling.movements import Catches
-    from zfall.robots import Robot
 
 OUTCOMES = "outcomes.txt"  # what came of each search, written once all are over
+APART = ("launcher", "launch")  # keys of the recipe alone
 
 
 class Keys(TypedDict):
     """The keys of ``catches.yaml``."""
 
     falls: Name
+    world: Name | None
     headings: Sequence[Whole]
     speeds: Sequence[Positive]
     until: Sequence[Positive]
@@ -46,61 +48,34 @@ class Keys(TypedDict):
     launch: Mapping[Name, Any] | None
 
 
-BINS = ("headings", "speeds", "until")
-COUNTS = ("candidates", "trials", "elite", "rounds")
-
-
 @hydra.main(version_base=None, config_path=".", config_name="catches")
 @one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``catches.npz``, and prints what comes of each movement on all its falls."""
     with one_line_errors():
         check_recipe(cfg, Keys)
-        from rich.console import Console
-
-        from zfall.envs.humanoid import HumanoidEnv
-        from zfall.falling.movements import catches_path, load_catches, save_catches
-        from zfall.falling.recorded_falls import Falls
-        from zfall.falling.search import CrossEntropySearch, check_bins, first_guess, improve
-
-        console = Console()
-        search = CrossEntropySearch(
-            **{key: cfg[key] for key in COUNTS}, spread=cfg.spread, seed=cfg.seed
-        )
-        check_bins(cfg.headings, cfg.speeds, cfg.until)
-        worlds = search.candidates * search.trials
-        env = HumanoidEnv(num_envs=worlds, control_dt=0.04, physics_dt=0.004)
-        falls = Falls(env, Path(cfg.falls))
-        known = load_catches(env.robot) if catches_path(env.robot).is_file() else None
-        catches = first_guess(known, env.stand_position, cfg.until, cfg.speeds)
     folder = Path(HydraConfig.get().runtime.output_dir)
-    path, lines = folder / "catches.npz", list[str]()
-    save_catches(path, *catches)
-    with one_line_errors(SPOKEN):
-        if cfg.launcher != "basic":
-            lines = search_apart(cfg, folder / "headings", catches, env.robot)
-            save_catches(path, *catches)
-    for attempt in improve(catches, falls, search, cfg.headings) if not lines else ():
-        if attempt.better:
-            save_catches(path, *catches)
-        lines.append(str(attempt))
-        console.print(lines[-1], soft_wrap=True)
-    (folder / OUTCOMES).write_text("".join(f"{line}\n" for line in lines))
-    console.print(f"wrote {shown_path(path)}", soft_wrap=True)
+    if cfg.launcher == "basic":
+        make_one("SearchedCatches", cfg, folder / "catches.npz", APART)
+        return
+    with one_line_errors():
+        search_apart(cfg, folder, maker_of("SearchedCatches", cfg, APART).first)
 
 
-def search_apart(cfg: DictConfig, parts: Path, catches: "Catches", robot: "Robot") -> list[str]:
+def search_apart(cfg: DictConfig, folder: Path, catches: "Catches") -> None:
     """Has a launcher search each heading by itself, and puts together what was found.
 
-    Returns:
-        What came of them. What was found before in the same folder is not searched again.
+    What was found before in the same folder is not searched again.
 
     Raises:
         ValueError: if some were not searched.
     """
-    from zfall.falling.movements import HEADINGS, load_catches
+    from zfall.falling.movements import HEADINGS, load_catches, save_catches
+    from zfall.robots import DEFAULT
     from zfall.studies.launch import sweep
 
+    path, parts = folder / "catches.npz", folder / "headings"
+    save_catches(path, *catches)
     done = {heading: parts / str(heading) / OUTCOMES for heading in cfg.headings}
     more = ["launcher=basic", f"hydra.sweep.dir={parts}", "hydra.sweep.subdir=${headings.0}"]
     where = {"launcher": cfg.launcher, "launch": cfg.launch, "log": parts.with_suffix(".log")}
@@ -109,11 +84,13 @@ def search_apart(cfg: DictConfig, parts: Path, catches: "Catches", robot: "Robot
     if left := [heading for heading, file in done.items() if not file.exists()]:
         raise ValueError(f"headings must all be searched, {left} are not; see {where['log']}.")
     for heading, file in done.items():
-        found = load_catches(robot, file.with_name("catches.npz"))
+        found = load_catches(DEFAULT, file.with_name("catches.npz"))
         number = HEADINGS.index(heading)
         catches.postures[number] = found.postures[number]
         print(file.read_text(), end="")
-    return [line for file in done.values() for line in file.read_text().splitlines()]
+    save_catches(path, *catches)
+    (folder / OUTCOMES).write_text("".join(file.read_text() for file in done.values()))
+    print(f"wrote {shown_path(path)}")
 
 
 if __name__ == "__main__":

@@ -14,12 +14,12 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zfall.commands import shown_path
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
-from zfall.values import Count, Names, NotNegative, Positive, Rule, Seed
+from zfall.values import Count, Name, Names, NotNegative, Positive, Rule, Seed
 
 from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
+from .made import make_one
 
 
 class Keys(TypedDict):
@@ -29,6 +29,7 @@ class Keys(TypedDict):
     checkpoint: Checkpoint
     trust: Changes
     change: Changes
+    world: Name | None
     seed: Seed
     starts: Count
     impulses: Annotated[Sequence[Positive], Rule("hold at least one", lambda x: len(x) > 0)]
@@ -37,31 +38,14 @@ class Keys(TypedDict):
     times: Annotated[Sequence[NotNegative], Rule("hold at least one", lambda x: len(x) > 0)] | None
 
 
-PUSHED = ("seed", "starts", "impulses", "points", "duration", "times")  # how
-
-
 @hydra.main(version_base=None, config_path=".", config_name="falls")
 @one_line_errors(SPOKEN)
 def main(cfg: DictConfig) -> None:
     """Writes ``falls.npz``, see ``zfall.falling.banks.load_bank``."""
     with one_line_errors():
         check_recipe(cfg, Keys)
-    with one_line_errors(), trusting(cfg.trust):
-        from rich.console import Console
-
-        from zfall.evaluation.candidate import load_candidate
-        from zfall.falling.banks import save_bank
-        from zfall.falling.recording import record_falls
-
-        console = Console()
-        tested = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
-        pushed = {key: cfg[key] for key in PUSHED}
-        recording = record_falls(tested.env_cfg, tested.actor, servos=tested.servos, **pushed)
-    path = Path(HydraConfig.get().runtime.output_dir) / "falls.npz"
-    save_bank(path, recording.states)
-    count = len(recording.states["joint_position"])
-    console.print(f"{recording.fell} of {recording.trials} trials fell")
-    console.print(f"wrote {shown_path(path)}: {count} states", soft_wrap=True)
+    with trusting(cfg.trust):
+        make_one("RecordedFalls", cfg, Path(HydraConfig.get().runtime.output_dir) / "falls.npz")
 
 
 if __name__ == "__main__":

@@ -12,14 +12,12 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zfall.commands import shown_path
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
-from zfall.values import Count, Seed
+from zfall.values import Count, Name, Seed
 
 from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
-
-WORLDS = 64  # in which robots settle
+from .made import make_one
 
 
 class Keys(TypedDict):
@@ -29,6 +27,7 @@ class Keys(TypedDict):
     checkpoint: Checkpoint
     trust: Changes
     change: Changes
+    world: Name | None
     count: Count
     seed: Seed
 
@@ -39,23 +38,8 @@ def main(cfg: DictConfig) -> None:
     """Writes ``lying.npz``, see ``zfall.falling.lying.load_lying``."""
     with one_line_errors():
         check_recipe(cfg, Keys)
-    with one_line_errors(), trusting(cfg.trust):
-        from hydra.utils import instantiate
-
-        from zfall.configs import compose_config
-        from zfall.evaluation.candidate import load_candidate
-        from zfall.falling.banks import save_bank
-        from zfall.falling.lying import POSTURES, joined, kneeling_bank, lying_bank
-
-        tested = load_candidate(cfg.run, checkpoint=cfg.checkpoint, change=cfg.change)
-        twin = compose_config(["env=push_recovery_twin", f"num_envs={WORLDS}"]).env.base_env
-        env, limp = (instantiate(twin, powered=on, _convert_="all") for on in (True, False))
-        kneels = kneeling_bank(tested.env_cfg, tested.actor, cfg.count, seed=cfg.seed)
-        bank = joined([lying_bank(env, limp, cfg.count, seed=cfg.seed), kneels])
-    path = Path(HydraConfig.get().runtime.output_dir) / "lying.npz"
-    save_bank(path, bank)
-    counts = [f"{int((bank['posture'] == i).sum())} {name}" for i, name in enumerate(POSTURES)]
-    print(f"wrote {shown_path(path)}: {', '.join(counts)}")
+    with trusting(cfg.trust):
+        make_one("LyingStates", cfg, Path(HydraConfig.get().runtime.output_dir) / "lying.npz")
 
 
 if __name__ == "__main__":

@@ -12,12 +12,12 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zfall.commands import shown_path
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
-from zfall.values import Name
+from zfall.values import Fraction, Name, Positive
 
 from ..shell import Changes, Checkpoint, Run, check_recipe, one_line_errors, start
+from .made import make_one
 
 
 class Keys(TypedDict):
@@ -26,6 +26,11 @@ class Keys(TypedDict):
     recover: Run
     kneel: Run
     env: Name
+    trigger: Name | None
+    probability: Fraction
+    hold: Positive
+    catches: Name | None
+    rises: Name | None
     checkpoint: Checkpoint
     trust: Changes
     change: Changes
@@ -37,21 +42,9 @@ def main(cfg: DictConfig) -> None:
     """Writes ``checkpoints/last.pt`` with both policies and the env that switches."""
     with one_line_errors():
         check_recipe(cfg, Keys)
-    with one_line_errors(), trusting(cfg.trust):
-        from zfall import checkpoint
-        from zfall.falling.switched import switched_checkpoint
-
-        content = switched_checkpoint(
-            cfg.recover,
-            cfg.kneel,
-            env=cfg.env,
-            checkpoint_name=cfg.checkpoint,
-            changes=cfg.change,
-        )
     path = Path(HydraConfig.get().runtime.output_dir) / "checkpoints" / "last.pt"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint.save(path, content)
-    print(f"wrote {shown_path(path)}")
+    with trusting(cfg.trust):
+        make_one("SwitchedPolicy", cfg, path)
 
 
 if __name__ == "__main__":

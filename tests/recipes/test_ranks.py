@@ -273,3 +273,22 @@ def test_ranks_killed_20_times_end_as_one_run_that_nobody_disturbed(tmp_path):
         folder = tmp_path / str(seed)
         ended_well(train_in_each(in_both(*SMALL, frames, f"hydra.run.dir={folder}/whole"), folder))
         killed_and_resumed(folder / "whole", folder, frames, kills=4, seed=seed)
+
+
+@pytest.mark.long
+def test_of_two_ranks_the_first_makes_a_file_and_the_other_waits(tmp_path):
+    """Both train with it: the second stage warm starts from the policy that was made."""
+    text = "{_target_: tests.training.makers.Text, text: a}"
+    copy = "{_target_: tests.training.makers.Copy, policy: 'stage:a'}"
+    stages = (
+        f"+stages={{note: {{make: {text}}}, a: {{total_frames: 32}}, copied: {{make: {copy}}},"
+        " b: {total_frames: 32, warm_start: 'stage:copied'}}"
+    )
+    ended_well(train_in_each(in_both(*SMALL, stages, f"hydra.run.dir={tmp_path}/run"), tmp_path))
+    assert (tmp_path / "run" / "made" / "note.txt").read_text() == "a"
+    one, other = (
+        checkpoint.load(tmp_path / "run" / "checkpoints" / f"{name}.pt")["policy"]
+        for name in ("a", "copied")
+    )
+    assert all(torch.equal(one[key], other[key]) for key in one)
+    assert (tmp_path / "run" / "metrics.csv").read_text().count("\n") == 3

@@ -23,6 +23,7 @@ the general code finds it where yaml names it.
 | ``rise_search.py`` | searches movements that get up |
 | ``kneel_battery.py``, ``kneeling.py``, ``kneel_outcomes.py``, ``baselines.py`` | tests of it |
 | ``plots.py`` | figures of a trigger |
+| ``making/`` | all of these files, as recipes and as stages of a training make them |
 | ``files.py``, ``assets/`` | the files that ship |
 
 The hooks of the general code that it uses:
@@ -42,5 +43,6 @@ The hooks of the general code that it uses:
 - ``reads_files`` on a class: which files decide what it does (``zfall.fingerprints``);
 - ``Robot.postures``: named poses of a robot (``zfall.robots``);
 - ``kind`` and ``measures`` of a battery's yaml (``zfall.evaluation.kinds``), ``_target_`` of a
-  baseline's (``zfall.evaluation.baselines``), ``tested_with`` of a study's (``zfall.studies``).
+  baseline's (``zfall.evaluation.baselines``), ``tested_with`` of a study's (``zfall.studies``);
+- ``make`` of a stage (``zfall.training.makers``).
 """

@@ -13,9 +13,9 @@ from zfall.fingerprints import reads_files
 from zfall.modules.normalization import ObservationNormalizer
 from zfall.robots import DEFAULT
 
-_SEEN = ["projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target"]
+SEEN = ("projected_gravity", "base_angular_velocity", "joint_position", "joint_velocity", "target")
 _KINDS = {"sizes": Mapping, "fall_network": Mapping}
-SHIPPED = {"keys": _SEEN, "control_dt": 0.04}  # with which the default network was trained
+SHIPPED = {"keys": [*SEEN], "control_dt": 0.04}  # with which the default network was trained
 
 
 class FallNetwork(nn.Module):

@@ -18,7 +18,7 @@ from zfall.evaluation.definitions import load_battery
 from zfall.falling.banks import load_bank
 from zfall.falling.files import own_file
 from zfall.falling.modes import STABLE
-from zfall.falling.pushed import PUSH_TIME, pushed_worlds
+from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
 from zfall.robots import Robot
 from zfall.rotations import from_angles, turned
 
@@ -141,7 +141,12 @@ def joined(parts: list[dict[str, Tensor]]) -> dict[str, Tensor]:
 
 
 def kneeling_bank(
-    env_cfg: DictConfig, actor: torch.nn.Module | None, count: int, *, seed: int
+    env_cfg: DictConfig,
+    actor: torch.nn.Module | None,
+    count: int,
+    *,
+    seed: int,
+    world: str | None = None,
 ) -> dict[str, Tensor]:
     """States in which a policy that kneels has come to rest after pushes, mode STABLE.
 
@@ -152,6 +157,7 @@ def kneeling_bank(
         actor: the policy; ``None`` for a baseline that kneels by script.
         count: of states, at most.
         seed: of the pushes.
+        world: battery whose hardware is met, ``twin``; ``None``: that of the env.
 
     Returns:
         As ``load_lying``, all in posture kneel.
@@ -170,12 +176,14 @@ def kneeling_bank(
         push_time=PUSH_TIME,
         end_time=4.5,
         directions=24,
+        world=world_of(world),
     )
     worlds = pushed_worlds(battery, env_cfg, actor, seed=seed, control_arm=False)
     trials, seen, parts = len(worlds.trials), None, list[dict[str, Tensor]]()
     steps = round(battery.end_time / worlds.env.base_env.control_dt)
     for td in play(worlds.env, actor, steps):
         stable = td["mode"][:trials, STABLE] > 0
+        stable &= posture_of(td["projected_gravity"][:trials]) == POSTURES.index("kneel")
         new = stable if seen is None else stable & ~seen
         seen = stable if seen is None else stable | seen
         parts.append(_rows({key: td[key][:trials] for key in _KEYS}, new))

@@ -1,5 +1,8 @@
 """Trials of a battery, all at once, whose pushes begin in any physics step."""
 
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +13,31 @@ from torchrl.envs import TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.tables import robot_of
+from zfall.envs.worlds import World
 from zfall.evaluation.battery import BLOCK, arrange, battery_env, begin_streams
-from zfall.evaluation.definitions import Battery
+from zfall.evaluation.candidate import Candidate, load_candidate
+from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials
 from zfall.modules.actors import recurrent_keys
+from zfall.policies import load_policy
 
 PUSH_TIME = 0.52  # [s], whole control steps of 20 and 40 ms; pushes begin somewhere in the last
+
+
+@cache
+def world_of(name: str | None) -> World | None:
+    """The hardware of a battery, by its name; ``None``: that of each env."""
+    return None if name is None else load_battery(name).world
+
+
+def check_world_name(name: str | None) -> None:
+    """Refuses what is not the name of a battery that has hardware.
+
+    Raises:
+        ValueError: naming it.
+    """
+    if name is not None and world_of(name) is None:
+        raise ValueError(f"world must be null or a battery with hardware, twin, got {name}.")
 
 
 class PushedWorlds(NamedTuple):
@@ -66,3 +88,21 @@ def pushed_worlds(
     pushes = plan_pushes(battery, trials).sooner(base.control_dt, base.physics_dt, seed)[rows]
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     return PushedWorlds(env, trials, rows, pushes)
+
+
+def pushed_policy(run: str, *, checkpoint: str = "last", change: Sequence[str] = ()) -> Candidate:
+    """What is to be pushed, or watched.
+
+    Args:
+        run: a run folder, the name of a policy that ships or of a baseline, or the file of a
+            checkpoint.
+        checkpoint: of a run folder.
+        change: values of the env to replace.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    path = Path(run)
+    if path.suffix == ".pt" and path.is_file():
+        return load_candidate(load_policy(path), change=change)
+    return load_candidate(run, checkpoint=checkpoint, change=change)

@@ -4,17 +4,42 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from hydra.utils import instantiate
 from tensordict import TensorDict
 from torch import Tensor
+from torchrl.envs import EnvBase
 
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
+from zfall.envs.make import make_env
 from zfall.falling.banks import PUSH_KEYS, load_bank
+from zfall.falling.pushed import world_of
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import turn_to_heading
 
 END, SPEED = 1.5, 6.0  # of a trial [s]; of each joint, as that of KneelReference [rad/s]
 AFTER = 0.5  # for which a trial goes on once torso or head touched [s], as in battery planar
 FORCE, ACCELERATION = 1200.0, 400.0  # worst that a score tells apart [N, m/s2]
+
+
+def falling_worlds(count: int, world: str | None = None) -> EnvBase:
+    """Worlds for ``Falls``, whose targets are given.
+
+    Args:
+        count: number of worlds.
+        world: battery whose hardware is met, ``twin``, each time in another draw; ``None``: the
+            published servos, and no delays.
+    """
+    hardware = world_of(world) or {}
+    base: HumanoidEnv = instantiate(
+        {"_target_": "zfall.envs.humanoid.HumanoidEnv", **hardware.get("base_env", {})},
+        num_envs=count,
+        control_dt=0.04,
+        physics_dt=0.004,
+        _convert_="all",
+    )
+    if world is None:
+        return base
+    return make_env(base, {**hardware["commands"], **hardware["physics"]})
 
 
 class Falls:
@@ -26,16 +51,20 @@ class Falls:
         heading: its direction, from the robot's own, counterclockwise ``(K,)`` [degrees].
 
     Args:
-        env: the base env.
+        worlds: of ``falling_worlds``.
         path: of the bank, which must have pushes, at the torso.
 
     Raises:
         ValueError: if there is no such bank.
     """
 
-    def __init__(self, env: HumanoidEnv, path: Path):
+    def __init__(self, worlds: EnvBase, path: Path):
+        env: HumanoidEnv = getattr(worlds, "base_env", worlds)
+        self.worlds = worlds
         bank = load_bank(path, env.robot, needs=PUSH_KEYS, name="falls")
-        self.states = {key: bank[key] for key in STATE_KEYS}
+        # Where commands are late, those from before still act.
+        late = ("target",) if worlds is not env and "target" in bank else ()
+        self.states = {key: bank[key] for key in (*STATE_KEYS, *late)}
         self.force, self.left = bank["push_force"], bank["push_left"][:, 0]
         self.env, count = env, len(self.force)
         velocity = torch.empty(count, 2)
@@ -65,7 +94,8 @@ class Falls:
     def begin(self, rows: Tensor) -> TensorDict:
         """Resets the worlds into the falls of these rows ``(N,)``."""
         start = TensorDict({key: value[rows] for key, value in self.states.items()}, [len(rows)])
-        return self.env.reset(TensorDict({"start": start}, [len(rows)]))
+        td: TensorDict = self.worlds.reset(TensorDict({"start": start}, [len(rows)]))
+        return td
 
     def like(self, heading: float, low: float, high: float) -> Tensor:
         """Rows of falls within 15 degrees of a heading and between two speeds [m/s]."""
@@ -123,7 +153,7 @@ def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> Landi
         wrench = falls.wrench(rows, step * env.control_dt)
         if wrench is not None:
             td["push", "wrench"] = wrench
-        td = env.step(td)["next"]
+        td = falls.worlds.step(td)["next"]
         counted, diverged = since < AFTER, td["diverged"].squeeze(-1)
         hit = td["contact_force_peak"][:, struck].amax(-1).masked_fill(diverged, FORCE)
         shock = td["base_acceleration_peak"][:, 0].masked_fill(diverged, ACCELERATION)

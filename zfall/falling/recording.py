@@ -15,7 +15,7 @@ from zfall.evaluation.battery import play
 from zfall.evaluation.definitions import load_battery
 from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS
 from zfall.falling.modes import KNEEL
-from zfall.falling.pushed import PUSH_TIME, pushed_worlds
+from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
 
 _KEYS = (*STATE_KEYS, *SEEN_KEYS)
 _EPS = 1e-6  # [s]
@@ -47,6 +47,7 @@ def record_falls(
     duration: float = 0.1,
     seed: int = 0,
     servos: bool = True,
+    world: str | None = None,
 ) -> Recording:
     """Pushes a policy from 24 directions and keeps states of its falls.
 
@@ -64,6 +65,7 @@ def record_falls(
         duration: of the pushes [s].
         seed: of the trials, and of when in a control step a push begins.
         servos: whether the servos act at all.
+        world: battery whose hardware is met, ``twin``; ``None``: that of the env.
 
     Raises:
         ValueError: on numbers that no trial can have, if the env has no modes but ``times`` is
@@ -81,6 +83,7 @@ def record_falls(
         push_time=PUSH_TIME,
         end_time=2.5,
         directions=24,
+        world=world_of(world),
     )
     worlds = pushed_worlds(battery, env_cfg, actor, seed=seed, servos=servos, control_arm=False)
     base, count = worlds.env.base_env, len(worlds.trials)

@@ -7,7 +7,7 @@ Methodology and Computing in Applied Probability 1999.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import islice, pairwise, product
 from typing import NamedTuple
 
 import torch
@@ -140,7 +140,10 @@ def check_bins(headings: Sequence[int], speeds: Sequence[float], until: Sequence
 
 
 def first_guess(
-    known: Catches | None, stand: Tensor, until: Sequence[float], speeds: Sequence[float]
+    known: Catches | None,
+    stand: Tensor | Sequence[float],
+    until: Sequence[float],
+    speeds: Sequence[float],
 ) -> Catches:
     """Movements from which a search goes on.
 
@@ -151,7 +154,7 @@ def first_guess(
         speeds: between the bins of speed [m/s].
     """
     ends, bins = torch.tensor([*until, torch.inf]), len(speeds) + 1
-    postures = stand.repeat(len(HEADINGS), bins, len(ends), 1)
+    postures = torch.as_tensor(stand).float().repeat(len(HEADINGS), bins, len(ends), 1)
     if known is not None:
         of_bin = torch.arange(bins).clamp(max=known.postures.shape[1] - 1)
         of_time = torch.arange(len(ends)).clamp(max=known.postures.shape[2] - 1)
@@ -160,7 +163,12 @@ def first_guess(
 
 
 def improve(
-    catches: Catches, falls: Falls, search: CrossEntropySearch, headings: Sequence[int] = HEADINGS
+    catches: Catches,
+    falls: Falls,
+    search: CrossEntropySearch,
+    headings: Sequence[int] = HEADINGS,
+    *,
+    begin: int = 0,
 ) -> Iterator[Attempt]:
     """Searches a movement for each heading and range of speed; keeps the known one if it is better.
 
@@ -169,13 +177,16 @@ def improve(
         falls: of an env of ``candidates * trials`` worlds.
         search: what looks for each of them.
         headings: some of ``HEADINGS`` [degrees].
+        begin: number of attempts that are over.
     """
 
     def score(rows: Tensor, moves: Tensor) -> Tensor:
         return caught(falls, rows, moves, catches.until).score
 
     edges = [0.0, *catches.speeds.tolist(), math.inf]
-    for heading, (j, (low, high)) in product(headings, enumerate(pairwise(edges))):
+    attempts = product(headings, enumerate(pairwise(edges)))
+    for heading, (j, (low, high)) in islice(attempts, begin, None):
+        falls.worlds.set_seed(search.seed)  # so that each attempt is the same by itself
         rows, place = falls.like(heading, low, high), (HEADINGS.index(heading), j)
         attempt = Attempt(heading, low, len(rows))
         if len(rows) >= search.trials:

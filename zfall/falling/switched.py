@@ -16,7 +16,7 @@ from zfall.configs import compose_config, options_of
 from zfall.envs.make import build_transform, left_out
 from zfall.envs.tables import INTERFACE, changed, check_same_interface
 from zfall.modules.actors import recurrent_keys
-from zfall.policies.load import checkpoint_of
+from zfall.policies.load import checkpoint_or_file
 from zfall.simulation.model import identity_of
 
 SCRIPT = "script"  # in the place of a policy that kneels: the movements alone
@@ -117,27 +117,33 @@ def switched_checkpoint(
     env: str = "push_to_kneel",
     checkpoint_name: str = "last",
     changes: Sequence[str] = (),
+    values: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The content of a checkpoint with both policies, in an env whose modes switch.
 
     Args:
-        recover: run folder of a policy that recovers, or the name of one that ships.
+        recover: run folder of a policy that recovers, the name of one that ships, or the file of a
+            checkpoint.
         kneel: likewise of a policy that kneels, or ``script``.
         env: its name in ``recipes/env``.
         checkpoint_name: of the run folders, ``last``, ``best``, or a stage of both that is over.
         changes: values of the env to replace, ``["transforms.mode.probability=0.9"]``.
+        values: more of them by full key, new ones too, before the changes.
 
     Raises:
         ValueError: if one is missing, or they do not see or do the same.
     """
     runs = {"recover": recover} if kneel == SCRIPT else {"recover": recover, "kneel": kneel}
     parts = {
-        name: checkpoint.load(checkpoint_of(run, checkpoint_name, key=name))
+        name: checkpoint.load(checkpoint_or_file(run, checkpoint_name, key=name))
         for name, run in runs.items()
     }
     configs = {name: OmegaConf.create(part["config"]) for name, part in parts.items()}
     check_same_interface(configs)
-    env_cfg = changed(_switched_env(configs, runs, env), changes)
+    env_cfg = _switched_env(configs, runs, env)
+    for key, value in (values or {}).items():
+        OmegaConf.update(env_cfg, key, value, force_add=True)
+    env_cfg = changed(env_cfg, changes)
     made = instantiate(env_cfg, base_env={"num_envs": 1})
     spec, action_spec = made.observation_spec, made.action_spec
     actors = []
@@ -187,7 +193,9 @@ def _switched_env(
                 f"{runs[name]} has transforms.{key}."
             )
     # What kneels brings these along, recovering alone needs none.
-    own = ("kneel_reference", "mode", "mirrored_falls") if "kneel" in configs else ()
+    own = ["kneel_reference", "mirrored_falls"] if "kneel" in configs else []
+    if "kneel" in configs and env_cfg.transforms.mode.get("rise") is None:
+        own.append("mode")  # else its training had no way up
     for name in (*INTERFACE, *own):
         env_cfg.transforms[name] = last.transforms.get(name)
     env_cfg.transforms.mode.initial = "recover"

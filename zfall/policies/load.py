@@ -65,7 +65,7 @@ def load_policy(
 
     Args:
         run: a run folder, the name of a policy that ships, or the yaml of one of another
-            framework, see ``zfall.policies.foreign``.
+            framework, see ``zfall.policies.foreign``; as a ``Path`` also the file of a checkpoint.
         checkpoint: of a run folder, ``last``, ``best``, or a stage of it that is over.
         changes: values of its env to replace, ``["transforms.mode.angle=0.4"]``.
         trust: modules of one's own that its config may name, ``["my_terms"]``; their code is run.
@@ -74,7 +74,8 @@ def load_policy(
         ValueError: if there is no such policy, its checkpoint is damaged, does not fit or names
             what is not trusted, or a change names nothing.
     """
-    path = checkpoint_of(str(run), checkpoint)
+    of = checkpoint_or_file if isinstance(run, Path) else checkpoint_of
+    path = of(str(run), checkpoint)
     with trusting(trust):
         actor, config = READERS.get(path.suffix, _read_checkpoint)(path, changes)
     card = path.with_suffix(".md")
@@ -127,6 +128,12 @@ def checkpoint_of(
     stages = {file.stem for file in Path(run).glob("checkpoints/*.pt")} - {*names}
     _check_named(name, [*names, *sorted(stages)], run)
     return Path(run) / "checkpoints" / f"{name}.pt"
+
+
+def checkpoint_or_file(run: str, name: str = "last", *, key: str = "run") -> Path:
+    """As ``checkpoint_of``; ``run`` may also be the file of a checkpoint, of a stage perhaps."""
+    path = Path(run)
+    return path if path.suffix == ".pt" and path.is_file() else checkpoint_of(run, name, key=key)
 
 
 def _check_named(name: str, names: Sequence[str], run: str) -> None:
@@ -195,9 +202,7 @@ def read_teacher(
     """
     if not (isinstance(run, str) and run):
         raise ValueError(f"{key} must be a run folder or a policy that ships, got {run!r}.")
-    file = Path(run)
-    is_file = file.suffix == ".pt" and file.is_file()  # of a stage of the same training
-    path = file if is_file else checkpoint_of(run, key=key)
+    path = checkpoint_or_file(run, key=key)
     content = checkpoints.load(path)
     cfg = OmegaConf.create(content["config"])
     seen = {} if sees == "observation" else {"this run": sees}

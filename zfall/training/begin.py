@@ -11,16 +11,24 @@ from zfall.commands import shown_path
 from zfall.configs import plain_containers
 from zfall.meaning import differences, meaning
 from zfall.simulation.model import identity_of
+from zfall.training.begun import BEGUN, load_begun, write_begun
 from zfall.training.learner import Learner
 from zfall.training.loop import free_overrides, number_of_updates, resumed_config
 from zfall.training.parts import with_own_worlds
 from zfall.training.ranks import Ranks
-from zfall.training.run_folder import RunFolder, check_version, holds_run, write_config
+from zfall.training.run_folder import (
+    VERSION,
+    RunFolder,
+    check_version,
+    holds_run,
+    write_config,
+)
 from zfall.training.stages import (
     begin_stage,
     check_lengths,
     check_stages,
     stage_reached,
+    with_files,
     written_out,
 )
 from zfall.training.trial_step import try_one_step
@@ -31,8 +39,10 @@ AUTO = "auto"  # in place of a folder to go on from: the one of the run, if it w
 
 def begin(
     folder: Path, cfg: DictConfig, overrides: Sequence[str], console: Console, ranks: Ranks
-) -> tuple[Learner, RunFolder]:
+) -> tuple[Learner | None, RunFolder]:
     """All that training takes, nothing written before all is checked.
+
+    There is no learner where the stage at hand makes something in place of training.
 
     Args:
         folder: of the run, which is ours alone.
@@ -45,25 +55,29 @@ def begin(
         ValueError: on a config or a checkpoint of which no training can be made.
     """
     state, notes, path = None, list[str](), folder / "checkpoints" / "last.pt"
-    if cfg.resume == AUTO and not path.exists():
-        for name in ("metrics.csv", "timing.csv"):  # of a run that was cut before its first save
-            (folder / name).unlink(missing_ok=True)
+    if cfg.resume == AUTO and not (path.exists() or (folder / BEGUN).exists()):
         cfg.resume = None
-    if cfg.resume is not None:
-        state = checkpoint.load(path, checkpoint.TRAINING)
-        check_version(state["run"], folder)
-        stored = state["run"].get("whole_config", state["config"])
+        _forget_figures(folder)
+    goes_on = cfg.resume is not None
+    if goes_on:
+        if path.exists():
+            state = checkpoint.load(path, checkpoint.TRAINING)
+            before = {"whole_config": state["config"], **state["run"]}
+        else:
+            before = load_begun(folder)
+            _forget_figures(folder)
+        check_version(before, folder)
         own = cfg.resume == AUTO
         with trusting(targets_of(cfg) if own else []):
-            config = config_of_file(stored, path)  # before any of it is built
+            config = config_of_file(before["whole_config"], path)  # before any of it is built
         if own:
             check_same_run(config, cfg, folder)
             overrides = free_overrides(overrides)
         stored = OmegaConf.to_yaml(config)
-        check_lengths(stored, overrides, state["run"].get("stage", 0))
+        check_lengths(stored, overrides, before.get("stage", 0))
         cfg = resumed_config(stored, cfg, overrides, folder)
     elif holds_run(folder):
-        resumable = path.exists()
+        resumable = path.exists() or (folder / BEGUN).exists()
         repair = f"resume={shown_path(folder)} goes on with it" if resumable else "remove it"
         raise ValueError(
             f"hydra.run.dir must be a folder without a run, {folder} holds one"
@@ -73,13 +87,15 @@ def begin(
         check_lengths(OmegaConf.to_yaml(cfg), overrides)
     with trusting(targets_of(cfg)):  # what is trained must be readable, too
         config_of_file(OmegaConf.to_yaml(cfg, resolve=True), folder)
-        if state is None:
+        if not goes_on:
             check_stages(cfg, ranks)
     with checkpoint.reading(path):
         stage = stage_reached(cfg, state)
-    try_one_step(stage.config.env)
-    learner = begin_stage(stage, folder, ranks, goes_on=state is not None)
-    if state is not None:
+    learner = None
+    if stage.make is None:
+        try_one_step(with_files(stage, folder).env)
+        learner = begin_stage(stage, folder, ranks, goes_on=goes_on)
+    if state is not None and learner is not None:
         robot = identity_of(learner.env.base_env.robot)
         checkpoint.check_fits(state, robot, learner.actor, folder)
         if number_of_updates(learner) < state["updates"]:
@@ -91,14 +107,22 @@ def begin(
             notes = learner.load_state_dict(with_own_worlds(state, folder, ranks))
     ranks.gathered(None)  # all have read what is there
     run = RunFolder(folder, cfg, ranks)
-    if state is None and ranks.leads:
+    if not goes_on and ranks.leads:
         write_config(cfg, overrides, folder)
+        if stage.make is not None:
+            write_begun(cfg, folder, VERSION)
     elif state is not None:
         with checkpoint.reading(path):
             notes += run.load_state_dict(state["run"])
         for line in notes:
             console.print(line, soft_wrap=True)
     return learner, run
+
+
+def _forget_figures(folder: Path) -> None:
+    """Removes those of a run that was cut before its first checkpoint."""
+    for name in ("metrics.csv", "timing.csv"):
+        (folder / name).unlink(missing_ok=True)
 
 
 def check_same_run(stored: DictConfig, given: DictConfig, folder: Path) -> None:

@@ -99,4 +99,5 @@ class TrainKeys(TypedDict):
     loss: Mapping[str, Any]
     trust: Sequence[Name]
     stages: Mapping[str, Any]
+    recover: NotRequired[Name]  # of an experiment that begins with a policy: which
     experiment: NotRequired[Any]

@@ -2,13 +2,10 @@
 
 import gc
 import math
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Event
-from types import FrameType
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -20,6 +17,7 @@ from zfall import checkpoint
 from zfall.configs import compose_config
 from zfall.terminal import Shortened, progress_bar
 from zfall.training.exploration import exploration_of
+from zfall.training.interrupts import Stopped, first_ctrl_c
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
@@ -105,36 +103,47 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
             with trusting(targets_of(cfg)):  # all of them are built in any case
                 state = checkpoint.load(path, checkpoint.TRAINING)
             check_version(state["run"], folder)
-        learner = begin_stage(stage_reached(cfg, state), folder, goes_on=state is not None)
+        stage = stage_reached(cfg, state)
+        made = stage.make is not None
+        learner = None if made else begin_stage(stage, folder, goes_on=state is not None)
         run = RunFolder(folder, cfg)
-        if state is not None:
+        if state is not None and learner is not None:
             with checkpoint.reading(path):
                 notes = learner.load_state_dict(with_own_worlds(state, folder, ALONE))
                 notes += run.load_state_dict(state["run"])
             for line in notes:
                 console.print(line, soft_wrap=True)
-        return train_stages(learner, run, console) is not None
+        with suppress(Stopped):
+            train_stages(learner, run, console)
+            return True
+    return False
 
 
 def train_stages(
-    learner: Learner, run: RunFolder, console: Console, look: Look | None = None
+    learner: Learner | None, run: RunFolder, console: Console, look: Look | None = None
 ) -> Learner | None:
-    """Trains the stage at hand and those after it.
+    """Trains, or makes, the stage at hand and those after it.
 
     Args:
-        learner: of the stage at hand.
+        learner: of the stage at hand; None if that makes something in place of training.
         run: its folder.
         console: where progress is shown.
         look: is called with the learner every ``showcase.every`` updates.
 
     Returns:
-        The learner of the last; None if ctrl-c ended it early.
+        The learner of the last stage that trained; None if none did.
+
+    Raises:
+        Stopped: if ctrl-c ended it early.
     """
-    while train(learner, run, console, look):
+    while True:
+        if run.stage.make is not None:
+            run.make_stage(console)
+        elif learner is not None and not train(learner, run, console, look):
+            raise Stopped
         if run.at_last_stage:
             return learner
         learner = run.next_stage(learner)
-    return None
 
 
 def number_of_updates(learner: Learner) -> int:
@@ -190,22 +199,6 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
                 run.save(learner, "last")
                 return False
     return True
-
-
-@contextmanager
-def first_ctrl_c() -> Iterator[Event]:
-    """Set by the first ctrl-c, which lets the update end, to be resumed exactly; not the second."""
-    pressed = Event()
-
-    def press(number: int, frame: FrameType | None) -> None:
-        pressed.set()
-        signal.signal(number, previous)
-
-    previous = signal.signal(signal.SIGINT, press)
-    try:
-        yield pressed
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 @contextmanager

@@ -11,16 +11,19 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
 
 from zfall import checkpoint
 from zfall.commands import remove_if_empty
+from zfall.training.begun import BEGUN
 from zfall.training.learner import Learner
 from zfall.training.logging import Loggers
+from zfall.training.makers import make_file
 from zfall.training.optimizers import learning_rates
 from zfall.training.parts import drop_parts, write_part
 from zfall.training.ranks import ALONE, Ranks
 from zfall.training.rows import append_row, keep_rows
-from zfall.training.stages import begin_stage, checkpoint_of_stage, stages_of, written_out
+from zfall.training.stages import begin_stage, remove_made, stages_of, written_out
 from zfall.trust import targets_of, trusting
 from zfall.versions import versions
 
@@ -67,8 +70,8 @@ def owned(folder: Path) -> Iterator[None]:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether something was trained in a folder."""
-    return any((folder / name).exists() for name in ("metrics.csv", "checkpoints/last.pt"))
+    """Whether something was trained or made in a folder."""
+    return any((folder / name).exists() for name in ("metrics.csv", "checkpoints/last.pt", BEGUN))
 
 
 @contextmanager
@@ -138,6 +141,7 @@ class RunFolder:
         self.recent: list[tuple[float, float]] = []  # of the last updates, see save_last_and_best
         self.best: tuple[float, ...] = ()
         self.columns: dict[str, list[str]] = {}  # of its csv files
+        self.went_on = False  # the stage at hand, in this process
 
     def write(
         self,
@@ -157,6 +161,7 @@ class RunFolder:
             figures: more, for the loggers alone.
         """
         self.last |= {key: metrics[key] for key in self.last if key in metrics}
+        self.went_on = True
         self.note(metrics)
         if not self.ranks.leads:
             return
@@ -212,20 +217,33 @@ class RunFolder:
         if name == "last":
             drop_parts(self.folder, self.updates(learner))
 
-    def next_stage(self, learner: Learner) -> Learner:
+    def next_stage(self, learner: Learner | None) -> Learner | None:
         """Keeps what the stage at hand came to; returns the learner of the next.
 
-        Nothing can be done with the learner of the stage that is over.
+        Nothing can be trained with the learner of the stage that is over, which is returned if the
+        next one makes something in place of training.
         """
-        assert self.stage.name is not None
-        self.save(learner, checkpoint_of_stage(self.folder, self.stage.name).stem)
-        self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
-        self.ranks.wait()
+        if learner is not None and self.stage.make is None:
+            assert self.stage.name is not None
+            self.save(learner, self.stage.name)
+            self.before = {"updates": self.updates(learner), "frames": self.frames(learner)}
+            if self.went_on and self.ranks.leads:  # else they are of what it came to
+                remove_made(self.stages[self.stage.number :], self.folder)
+            self.went_on = False
+            self.ranks.wait()
+            learner.worlds.close()
         self.stage = self.stages[self.stage.number]
+        if self.stage.make is not None:
+            return learner
         self.recent, self.best = [], ()
-        learner.worlds.close()
         with trusting(targets_of(self.cfg)):  # all of them were built before the first began
             return begin_stage(self.stage, self.folder, self.ranks)
+
+    def make_stage(self, console: Console) -> None:
+        """Makes what the stage at hand makes in place of training, if it is not there."""
+        make, name, files = self.stage.make or {}, str(self.stage.name), self.stage.files
+        with trusting(targets_of(self.cfg)):
+            make_file(make, name, self.folder, files, self.ranks, console)
 
     @property
     def at_last_stage(self) -> bool:

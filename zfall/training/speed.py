@@ -254,7 +254,8 @@ def measure_experiment(cfg: DictConfig, report: Callable[[str], None]) -> dict[s
         report: called with what comes next.
     """
     overrides = [f"experiment={cfg.only}", f"num_envs={cfg.num_envs}", f"seed={cfg.seed}"]
-    learner = Learner(stages_of(compose_config(overrides))[-1].config)
+    trained = [stage for stage in stages_of(compose_config(overrides)) if stage.make is None]
+    learner = Learner(trained[-1].config)
     stepper, undivided = (EnvStepper(learner.cfg, learner, n) for n in (learner.cfg.groups, 1))
     recorded = stepper.record()
     tasks: dict[str, Task] = {

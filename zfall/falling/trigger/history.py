@@ -12,7 +12,7 @@ from zfall.envs.transforms.observations.measured import read_measured
 from zfall.evaluation.baselines import passive
 from zfall.evaluation.battery import play
 from zfall.evaluation.definitions import load_battery
-from zfall.falling.pushed import PUSH_TIME, pushed_worlds
+from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
 from zfall.rotations import tilt
 
 
@@ -58,6 +58,7 @@ def record(
     starts: int,
     seed: int = 0,
     servos: bool = True,
+    world: str | None = None,
 ) -> tuple[History, float]:
     """Pushes a policy from 24 directions, and runs as many trials without a push as of one size.
 
@@ -69,6 +70,7 @@ def record(
         starts: trials per direction and size.
         seed: of the trials, of noise and delays, and of when in a control step a push begins.
         servos: whether the servos act at all.
+        world: battery whose hardware is met, ``twin``; ``None``: that of the env.
 
     Returns:
         The trials, and the control step [s].
@@ -83,6 +85,7 @@ def record(
         directions=24,
         push_time=PUSH_TIME,
         end_time=3.0,
+        world=world_of(world),
     )
     worlds = pushed_worlds(battery, env_cfg, actor, seed=seed, servos=servos)
     base, count = worlds.env.base_env, len(worlds.trials)
