@@ -33,6 +33,7 @@ class Keys(TypedDict):
     elite: Count
     rounds: Count
     spread: Positive
+    pace: Positive
     seed: Seed
     movements: Mapping[Name, Mapping[Name, Any]]
 

@@ -5,6 +5,7 @@ import torch
 from torch.testing import assert_close
 
 from zfall.falling.lying import POSTURES
+from zfall.falling.making import SearchedRises
 from zfall.falling.rises import Rises, load_rises, save_rises, written_rises
 from zfall.robots import ZEROTH01
 
@@ -101,3 +102,15 @@ def test_files_are_read_as_they_were_written_and_others_are_refused(tmp_path):
             load_rises(ZEROTH01, tmp_path / f"{name}.npz")
     with pytest.raises(ValueError, match="rises must be a file that recipes.falling.rises wrote"):
         load_rises(ZEROTH01, tmp_path / "none.npz")
+
+
+def test_what_is_searched_may_be_faster_than_it_was_known():
+    """One movement at 0.8 of its time; the others, and all keyframes, as they are."""
+    known, faster = load_rises(ZEROTH01), SearchedRises(searched=["belly"], pace=0.8).known
+    number = known.names.index("belly")
+    assert_close(faster.ends[number], 0.8 * known.ends[number])
+    others = [k for k in range(len(known.names)) if k != number]
+    assert torch.equal(faster.ends[others], known.ends[others])
+    assert torch.equal(faster.keyframes, known.keyframes)
+    with pytest.raises(ValueError, match="pace must be positive, got 0"):
+        SearchedRises(pace=0.0)

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from rich.console import Console
 
+from zfall.errors import check_number
 from zfall.falling.lying import load_lying, lying_path
 from zfall.falling.making.progress import Progress
 from zfall.falling.rise_search import LyingWorlds, search_rise
@@ -35,6 +36,7 @@ class SearchedRises:
         elite: movements that are kept.
         rounds: for each movement.
         spread: of the first round [rad].
+        pace: time of those that are searched, as a share of that which they are known with.
         seed: of the search and of the twin's draws.
     """
 
@@ -53,6 +55,7 @@ class SearchedRises:
         elite: Count = 8,
         rounds: Count = 10,
         spread: Positive = 0.15,
+        pace: Positive = 1.0,
         seed: Seed = 0,
     ):
         self.search = CrossEntropySearch(
@@ -71,6 +74,10 @@ class SearchedRises:
         if unknown := [name for name in self.names if name not in self.known.names]:
             known_names = ", ".join(self.known.names)
             raise ValueError(f"searched must be of {known_names}, got {unknown[0]}.")
+        check_number(pace, "pace", lambda x: x > 0, "be positive")
+        ends = self.known.ends.clone()
+        ends[[self.known.names.index(name) for name in self.names]] *= pace
+        self.known = self.known._replace(ends=ends)
         self.bank = lying_path(DEFAULT) if bank is None else Path(bank)
         load_lying(DEFAULT, self.bank)
 
