@@ -14,7 +14,7 @@ HEAVY = ("torch", "torchrl", "tensordict", "mujoco", "pandas", "matplotlib")
 RECIPES = sorted(
     ".".join(path.relative_to(ROOT / "recipes").with_suffix("").parts)
     for path in (ROOT / "recipes").rglob("*.py")
-    if path.stem not in ("__init__", "shell")
+    if path.stem not in ("__init__", "shell", "made")  # which the recipes share
 )
 
 
