@@ -78,6 +78,7 @@ def test_a_job_whose_worker_is_killed_goes_on_from_its_last_checkpoint(
     assert [each[-2] for each in begins(folder)] == [40, 41]
 
 
+@pytest.mark.long
 def test_a_job_that_fails_is_named_and_the_others_end_well(cluster, tmp_path):
     done = sweep(cluster, "fails=true,false", "until=2", f"hydra.sweep.dir={tmp_path}")
     assert done.returncode == 1

@@ -95,6 +95,7 @@ def test_an_interrupted_battery_goes_on_and_ends_as_if_it_had_not_been(tmp_path,
     assert not (folder / "trials.partial.csv").exists()
 
 
+@pytest.mark.long
 def test_runs_side_by_side_read_what_was_run_before(trained, tmp_path):
     more = [*SMALL, "num_envs=64", f"hydra.run.dir={tmp_path}"]
     done = run("evaluate", f"runs=[{trained},pose_hold,limp]", *more)

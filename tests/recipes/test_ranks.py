@@ -76,6 +76,7 @@ def test_a_run_of_two_ranks_goes_on_exactly(whole, tmp_path):
     assert_same_run(run, whole)
 
 
+@pytest.mark.long
 def test_a_run_goes_on_in_another_number_of_ranks_and_says_what_is_new(whole, tmp_path):
     run = shutil.copytree(whole, tmp_path / "run")
     more = f"total_frames={(UPDATES + 1) * 32}"

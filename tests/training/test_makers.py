@@ -81,6 +81,7 @@ def test_a_training_that_ends_with_a_policy_says_where_it_is(whole):
     assert all(map(torch.equal, made.actor.parameters(), trained.actor.parameters()))
 
 
+@pytest.mark.long
 def test_killed_in_made_and_in_trained_stages_and_resumed_it_gives_the_same(
     whole, tmp_path, monkeypatch
 ):

@@ -173,6 +173,7 @@ def test_a_stage_for_each_thing_and_all_of_it_in_the_twin():
     assert stages["lying"].make["seed"] != 0  # which is that of the battery's
 
 
+@pytest.mark.long
 def test_a_policy_that_sees_something_else_is_refused_before_anything_is_made(tmp_path):
     seen = "env.transforms.observation.keys=[projected_gravity,joint_position]"
     done = run("train", *TINY, seen, f"hydra.run.dir={tmp_path}/run")
