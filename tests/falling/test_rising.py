@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from zfall.evaluation.followers import Ended, Moment
+from zfall.falling.modes import KNEEL, MODES, RISE, one_hot
 from zfall.falling.rising import Cycling, Rising
 from zfall.robots import ZEROTH01
 
@@ -114,3 +115,11 @@ def test_the_first_second_of_a_fall_is_its_landing(make_base, history):
     assert out["landing_vulnerable"] == 1.0
     assert out["rise_force"] == 20.0 + 80.0
     assert out["landing_torque"] == pytest.approx(30.0 + 5.0)
+
+
+def test_it_is_said_which_worlds_begin_to_get_up():
+    mode = one_hot(torch.tensor([RISE, KNEEL]), len(MODES))
+    (said,) = Cycling.remarks(TensorDict({"mode": mode}, batch_size=[2])).items()
+    assert said[0] == "gets up"
+    assert said[1].tolist() == [True, False]
+    assert Cycling.remarks(TensorDict({"mode": mode[:, :RISE]}, batch_size=[2])) == {}

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.evaluation.followers import Ended, Moment
+from zfall.falling.modes import RISE
 from zfall.falling.standing import stands
 
 HOLD = 0.5  # time of standing without a break that counts [s]
@@ -86,6 +87,12 @@ class Cycling:
         names = ("falls", "pushes_met", "pushes_down", "down_s", "landing_force",
                  "landing_torque", "landing_vulnerable", "rise_force")  # fmt: skip
         self.sums = {name: torch.zeros(n) for name in names}
+
+    @staticmethod
+    def remarks(td: TensorDictBase) -> dict[str, Tensor]:
+        """That a policy with modes begins to get up."""
+        rises = "mode" in td.keys() and td["mode"].shape[-1] > RISE
+        return {"gets up": td["mode"][:, RISE] > 0} if rises else {}
 
     def before(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step."""
