@@ -91,7 +91,8 @@ def test_atalante_is_conditioned_for_smoothness(name, compose_config):
 def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
     """What each stage leaves out; all critics see the same, so that they go on."""
     stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
-    assert list(stages) == ["step", "steady", "calmer", "calm", "late", "twin", "idle"]
+    in_twin = ["twin", "idle", "fast", "slower", "edge"]
+    assert list(stages) == ["step", "steady", "calmer", "calm", "late", *in_twin]
     quick = compose_config("experiment=quickstart").env.transforms
     kept = {"push", "limit", "start", "action", "observation", "observation_critic", "terminations"}
     for key in kept:
@@ -99,14 +100,31 @@ def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
     hardware = {"jitter", "backlash", "physics", "encoder_late", "imu_late", "zeros", "mounting"}
     for name, cfg in stages.items():
         transforms = cfg.env.transforms
-        assert cfg.env.base_env.servo_dynamics == (name in ("twin", "idle"))
+        assert cfg.env.base_env.servo_dynamics == (name in in_twin)
         there = {key for key in hardware if transforms[key] is not None}
-        assert there == (hardware if name in ("twin", "idle") else set())
-        late = name in ("late", "twin", "idle")
+        assert there == (hardware if name in in_twin else set())
+        late = name in ("late", *in_twin)
         assert transforms.latency.delay == ([0.01, 0.035] if late else [0.0, 0.008])
         assert (cfg.augmentation is None) == (late or name == "calm")
         assert transforms.observation_critic == quick.observation_critic
     weights = [cfg.env.transforms.reward.terms.still for cfg in stages.values()]
-    assert [entry and entry[0] for entry in weights] == [None, None, 0.1, 0.2, 0.2, 0.2, 0.2]
-    rates = [cfg.optimizer.lr for cfg in stages.values()]
-    assert rates == [5e-4, 5e-4, 3e-5, 3e-5, 3e-5, 3e-5, 3e-5]
+    weights = [entry and entry[0] for entry in weights]
+    assert weights == [None, None, 0.1, 0.2, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1]
+    assert [cfg.optimizer.lr for cfg in stages.values()] == [5e-4, 5e-4, *[3e-5] * 8]
+
+
+@pytest.mark.parametrize("name", ["fast", "slower", "edge"])
+def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, name):
+    """Rewards of a step are half as large, but for two, and discounts the square root."""
+    stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
+    before, after = stages["idle"], stages[name]
+    assert (before.env.base_env.control_dt, after.env.base_env.control_dt) == (0.04, 0.02)
+    terms = before.env.transforms.reward.terms, after.env.transforms.reward.terms
+    for key in terms[0]:
+        weights, functions = zip(*(each[key] for each in terms), strict=True)
+        same = key in ("fall", "action_rate")
+        assert weights[1] == pytest.approx(weights[0] * (1.0 if same else 0.5)), key
+        assert functions[0] == functions[1], key
+    assert after.loss.gamma**2 == pytest.approx(before.loss.gamma, abs=2e-4)
+    assert after.loss.lmbda**2 == pytest.approx(before.loss.lmbda, abs=2e-3)
+    assert after.rollout_steps == 2 * before.rollout_steps
