@@ -7,7 +7,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from zfall.envs.terms.calm import at_rest, idle_servos, rest_posture, still_actions, still_joints
+from zfall.envs.terms.calm import (
+    at_rest,
+    busiest_servo,
+    idle_servos,
+    rest_posture,
+    still_actions,
+    still_joints,
+)
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.rewards import WeightedReward
 from zfall.envs.transforms.windows import LastAction
@@ -54,6 +61,19 @@ def test_each_falls_with_the_mean_square_over_joints(term, key):
     assert term(before, after, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-1))
     after["com_position"][:, 0] = 0.04
     assert term(before, after, reach=0.04, sigma=0.2).item() == pytest.approx(math.exp(-2))
+
+
+def test_one_servo_under_load_counts_whatever_the_others_do():
+    """1/e at a sigma of 0.4: 19 idle servos do not make up for it."""
+    busiest = partial(busiest_servo, reach=0.04, sigma=0.4)
+    after = standing()
+    assert busiest(BEFORE, after).item() == 1.0
+    after["joint_torque"][:, 3] = -0.4
+    assert busiest(BEFORE, after).item() == pytest.approx(math.exp(-1))
+    after["joint_torque"][:, 4:9] = 0.39
+    assert busiest(BEFORE, after).item() == pytest.approx(math.exp(-1))
+    after["com_position"][:, 0] = 0.04
+    assert busiest(BEFORE, after).item() == pytest.approx(math.exp(-2))
 
 
 def test_load_can_be_another_quantity():

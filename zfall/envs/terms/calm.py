@@ -67,6 +67,24 @@ def idle_servos(
     return _calm(next_td[torque], sigma) * at_rest(td, next_td, reach=reach)
 
 
+def busiest_servo(
+    td: TensorDictBase,
+    next_td: TensorDictBase,
+    *,
+    reach: Positive,
+    sigma: Positive,
+    torque: Name = "joint_torque",
+) -> Tensor:
+    """High while no servo carries much at rest: ``at_rest exp(-max(torque^2) / sigma^2)``.
+
+    Like ``idle_servos``, but of the servo that carries most: legs that press against each other
+    load few servos, which a mean over all hardly shows. ``sigma`` [N m]. Returns ``(*B, 1)`` in
+    [0, 1].
+    """
+    largest = next_td[torque].abs().amax(-1, keepdim=True)
+    return _calm(largest, sigma) * at_rest(td, next_td, reach=reach)
+
+
 def rest_posture(
     td: TensorDictBase,
     next_td: TensorDictBase,
