@@ -10,7 +10,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from zfall.envs.humanoid import HumanoidEnv
-from zfall.robots import ZEROTH01, Ball
+from zfall.robots import ZEROTH01, Ball, Contact
 from zfall.robots.servos import STS3250
 from zfall.rotations import rotate
 from zfall.simulation.quantities import SUBSTEP_KEYS
@@ -308,6 +308,19 @@ def test_a_state_of_other_servos_is_refused_with_what_differs(make_base, tmp_pat
         make_base(1, servos=softer).load_state_dict(saved)
     old = saved | {"made_for": {k: v for k, v in saved["made_for"].items() if k != "servos"}}
     published.load_state_dict(old)
+
+
+def test_a_state_of_harder_parts_is_refused(make_base):
+    """One from before contacts were written down is of the MJCF's."""
+    soft = make_base(1, physics_dt=0.001)
+    hard = make_base(1, physics_dt=0.001, contact=Contact(frequency=20.0, damping_ratio=0.2))
+    with pytest.raises(ValueError, match="same contact, that of the MJCF, got "):
+        soft.load_state_dict(hard.state_dict())
+    old = soft.state_dict()
+    del old["made_for"]["contact"]
+    soft.load_state_dict(old)
+    with pytest.raises(ValueError, match="same contact, .*, got that of the MJCF"):
+        hard.load_state_dict(old)
 
 
 @pytest.mark.parametrize(("values", "message"), [

@@ -9,6 +9,7 @@ from zfall.simulation.cpu import Simulation
 from zfall.simulation.model import identity_of
 
 _OF_MJCF = "the actuators of the MJCF"
+_SOFT = "that of the MJCF"
 
 
 def made_for(env: Any) -> dict[str, Any]:
@@ -21,6 +22,7 @@ def made_for(env: Any) -> dict[str, Any]:
         "physics_dt": env.physics_dt,
         "servo_dynamics": env.servo_dynamics is not None,
         "servos": {joint: asdict(servo) for joint, servo in servos.items()} or _OF_MJCF,
+        "contact": asdict(env.contact) if env.contact else _SOFT,
     }
 
 
@@ -65,7 +67,7 @@ def check_made_for(
             "an env's state must be what env.state_dict() gives, "
             f"got {', '.join(map(str, state)) or 'nothing'}."
         )
-    made_for = {"servo_dynamics": False} | state.get("made_for", {})
+    made_for = {"servo_dynamics": False, "contact": _SOFT} | state.get("made_for", {})
     if found := _difference(here, made_for):
         key, value, given = found
         raise ValueError(f"an env's state must be of the same {key}, {value}, got {given}.")

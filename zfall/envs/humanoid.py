@@ -21,7 +21,7 @@ from zfall.envs.observer import Observed, Observer, copies, with_flags
 from zfall.envs.placing import Placing, start_of
 from zfall.envs.rendering import Camera
 from zfall.envs.streams import Streams
-from zfall.robots import DEFAULT, Ball, PushPoint, Robot
+from zfall.robots import DEFAULT, Ball, Contact, PushPoint, Robot
 from zfall.robots.servos import Servo
 from zfall.simulation.compiled import sound
 from zfall.simulation.cpu import Simulation
@@ -79,6 +79,7 @@ class HumanoidEnv(EnvBase):
         ball: a ball that ``ThrownBall`` can throw.
         servos: by joint; those of the robot's MJCF if ``None``. See ``zfall.robots.servos``.
         servo_dynamics: whether ``servos`` feel load, supply and overload: ``ServoDynamics``.
+        contact: how hard parts meet; as the robot's MJCF has it if ``None``.
         powered: whether the servos act at all; without power the robot is limp.
         threads: threads for the physics; all cores if ``None``.
 
@@ -100,6 +101,7 @@ class HumanoidEnv(EnvBase):
         ball: Ball | None = None,
         servos: Mapping[str, Servo] | None = None,
         servo_dynamics: bool = False,
+        contact: Contact | None = None,
         powered: bool = True,
         threads: Count | None = None,
     ):
@@ -108,12 +110,12 @@ class HumanoidEnv(EnvBase):
         substeps = physics_steps(control_dt, physics_dt)
         super().__init__(device=None, batch_size=[num_envs])  # with one, each step checks all keys
         self.robot, self.num_envs, self.substeps = robot, num_envs, substeps
-        self.control_dt, self.physics_dt = control_dt, physics_dt
+        self.control_dt, self.physics_dt, self.contact = control_dt, physics_dt, contact
         self.regions, self.ball, self.servos = robot.regions, ball, servos
         if servos and servo_dynamics:  # which takes off what is lost in front of the shaft
             servos = {joint: each.before_gears() for joint, each in servos.items()}
-        parts: dict[str, Any] = {"push_points": push_points, "ball": ball, "servos": servos}
-        model = compile_model(robot, physics_dt=physics_dt, powered=powered, **parts)
+        more: Any = {"push_points": push_points, "ball": ball, "servos": servos, "contact": contact}
+        model = compile_model(robot, physics_dt=physics_dt, powered=powered, **more)
         check_memory(model, num_envs, substeps)
         self.simulation = Simulation(model, num_envs, substeps, threads)
         self.push_targets, self.num_bodies = push_targets(model), model.nbody - 1
@@ -134,9 +136,8 @@ class HumanoidEnv(EnvBase):
         stand_control = self.stand_position.double()[self._to_actuators]
         self._placing = Placing(robot, model, self._read.places, stand_control)
         self._ball = BallState(model) if ball else None
-        self.camera = Camera(
-            partial(compile_model, robot, physics_dt=physics_dt, look=True, **parts)
-        )
+        look = partial(compile_model, robot, physics_dt=physics_dt, look=True, **more)
+        self.camera = Camera(look)
         self._made_for = made_for(self)
         self._observer = Observer(self._read, self.parameters, self._ball, self.servo_dynamics)
         self.observation_spec = observation_spec(robot, num_envs, self._observer.quantities)
@@ -254,8 +255,7 @@ class HumanoidEnv(EnvBase):
         rows = torch.ones(self.num_envs, dtype=torch.bool) if mask is None else mask.reshape(-1)
         if len(rows) != self.num_envs:
             raise ValueError(f"mask must be of {self.num_envs} worlds, got {len(rows)}.")
-        fields = self.parameters.update(dict(tensordict.items()), rows)
-        self.simulation.set_fields(rows, fields)
+        self.simulation.set_fields(rows, self.parameters.update(dict(tensordict.items()), rows))
 
     def _set_seed(self, seed: int | None) -> None:
         self.streams.begin(0 if seed is None else int(seed))
@@ -288,7 +288,7 @@ class HumanoidEnv(EnvBase):
         self._repeats.forget()
 
     def check_state(self, state: Mapping[str, Any]) -> None:
-        """Raises ``ValueError`` unless ``load_state_dict`` can restore a state."""
+        """Refuses with a ``ValueError`` what ``load_state_dict`` cannot restore."""
         check_made_for(state, self._made_for, self.simulation, self.streams)
 
     def render(self, height: int = 480, width: int = 640) -> NDArray[np.uint8]:

@@ -4,13 +4,14 @@ import hashlib
 import math
 from collections.abc import Mapping
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
 import torch
 from torch import Tensor
 
-from zfall.robots import Ball, PushPoint, Robot, bare_model, full_spec
+from zfall.robots import Ball, Contact, PushPoint, Robot, bare_model, full_spec
 from zfall.robots.declared import check_declared
 from zfall.robots.servos import Servo
 from zfall.simulation.look import dress
@@ -28,22 +29,22 @@ def compile_model(
     push_points: dict[str, PushPoint] | None = None,
     ball: Ball | None = None,
     servos: Mapping[str, Servo] | None = None,
+    contact: Contact | None = None,
     powered: bool = True,
     look: bool = False,
 ) -> mujoco.MjModel:
     """Compiles ``model_spec``.
 
     Args:
-        robot, physics_dt, push_points, ball, servos: see ``model_spec``.
+        robot, physics_dt, push_points, ball, servos, contact: see ``model_spec``.
         powered: whether the servos act at all; without power the robot is limp.
         look: whether to add what the robot looks like, for pictures; the state stays the same.
 
     Raises:
         ValueError: as ``model_spec``.
     """
-    spec = model_spec(
-        robot, physics_dt=physics_dt, push_points=push_points, ball=ball, servos=servos, look=look
-    )
+    parts: dict[str, Any] = {"push_points": push_points, "ball": ball, "servos": servos}
+    spec = model_spec(robot, physics_dt=physics_dt, contact=contact, look=look, **parts)
     if look:
         dress(spec, robot)
     model = spec.compile()
@@ -59,6 +60,7 @@ def model_spec(
     push_points: dict[str, PushPoint] | None = None,
     ball: Ball | None = None,
     servos: Mapping[str, Servo] | None = None,
+    contact: Contact | None = None,
     look: bool = False,
 ) -> mujoco.MjSpec:
     """The robot's MJCF with a massless body welded to each push point.
@@ -73,6 +75,7 @@ def model_spec(
         push_points: points in addition to those of the robot, by name.
         ball: a free ball next to the robot, parked out of reach.
         servos: by joint, in place of the MJCF's actuators; those as they are if ``None``.
+        contact: of all that touch; as the MJCF has it if ``None``.
         look: whether to keep what an MJCF has for pictures alone.
 
     Raises:
@@ -98,6 +101,9 @@ def model_spec(
         body.explicitinertial, body.mass, body.ipos = True, 0.0, [0.0, 0.0, 0.0]
     if ball is not None:
         _add_ball(spec, ball)
+    if contact is not None:
+        for geom in spec.geoms:
+            geom.solref = contact.solref(physics_dt)
     return spec
 
 
