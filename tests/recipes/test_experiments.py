@@ -7,6 +7,7 @@ from hydra.utils import instantiate
 
 from tests.shell import TINY, run
 from zfall.falling.files import own_file
+from zfall.policies.load import load_policy
 from zfall.robots import ZEROTH01
 from zfall.training.stages import stages_of
 
@@ -128,3 +129,25 @@ def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, 
     assert after.loss.gamma**2 == pytest.approx(before.loss.gamma, abs=2e-4)
     assert after.loss.lmbda**2 == pytest.approx(before.loss.lmbda, abs=2e-3)
     assert after.rollout_steps == 2 * before.rollout_steps
+
+
+def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(compose_config):
+    """By the teacher's rate and sensors, with CAPS, noise and late commands in all stages."""
+    alone = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
+    stages = stages_of(compose_config("experiment=twin_gru_mog"))
+    assert [stage.name for stage in stages] == ["taught", "alone", "ramps"]
+    for cfg in (stage.config for stage in stages):
+        assert cfg.actor.hidden_size == 64
+        assert cfg.actor.components == 3
+        assert cfg.auxiliary_losses.caps.temporal_coeff == 0.05
+        for key in ("latency", "noise", "observation"):
+            assert cfg.env.transforms[key] == alone["edge"].env.transforms[key], key
+        assert (
+            cfg.env.base_env.control_dt == load_policy("twin_fast").config.env.base_env.control_dt
+        )
+    teachers = [stage.config.auxiliary_losses.get("imitation") for stage in stages]
+    assert teachers[0].teacher == "twin_fast"
+    assert teachers[1:] == [None, None]
+    ramps = [stage.config.env.transforms.get("planner") for stage in stages]
+    assert ramps[:2] == [None, None]
+    assert ramps[2].acceleration == [30.0, 150.0]
