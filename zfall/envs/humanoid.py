@@ -288,7 +288,7 @@ class HumanoidEnv(EnvBase):
         self._repeats.forget()
 
     def check_state(self, state: Mapping[str, Any]) -> None:
-        """Refuses with a ``ValueError`` what ``load_state_dict`` cannot restore."""
+        """Raises ``ValueError`` unless ``load_state_dict`` can restore a state."""
         check_made_for(state, self._made_for, self.simulation, self.streams)
 
     def render(self, height: int = 480, width: int = 640) -> NDArray[np.uint8]:
