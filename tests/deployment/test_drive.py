@@ -84,7 +84,7 @@ def test_a_dry_run_passes_the_pushes_that_the_fast_path_passes(folder):
 
 
 def test_a_cut_cable_stops_the_robot_within_the_watchdog(folder, tmp_path):
-    """Cut after 1.5 s; 50 ms without answers, a step of 40 ms and a retry of 5 ms later it ends."""
+    """Cut after 1.5 s; 50 ms without answers, a step of 20 ms and a retry of 5 ms later it ends."""
     out = tmp_path / "out"
     done = run("drive", f"policy={folder}", "seconds=3", "cut=1.5", "realtime=false",
                f"hydra.run.dir={out}")  # fmt: skip
@@ -94,7 +94,7 @@ def test_a_cut_cable_stops_the_robot_within_the_watchdog(folder, tmp_path):
     table = pd.read_csv(out / "drive.csv")
     last = table.iloc[-1]
     assert last["event"].startswith("stopped, servos hold: no answer")
-    assert 1.5 < last["time_s"] <= 1.5 + 0.05 + 0.04 + 0.005
+    assert 1.5 < last["time_s"] <= 1.5 + 0.05 + 0.02 + 0.005
 
 
 def test_limp_switches_the_torque_off_and_hot_servos_stop(folder, bus):
@@ -133,11 +133,11 @@ def test_a_temperature_that_nobody_tells_is_unknown_and_stops_the_robot(folder, 
     with pytest.raises(Stopped, match=f"no temperature of {bus.joints[0]} for 3 questions"):
         drive(ExportedPolicy(folder), bus, seconds=3.0, log=log, settings=Settings(settle=0.04))
     assert len(log.steps) == 41
-    assert "no servo answered with its temperature" in log.report(0.04)[-1]
+    assert "no servo answered with its temperature" in log.report(0.02)[-1]
     pushed(bus, force=(0.0, 0.0), seed=0, cut=None)
     log, settings = Log(None, bus.joints), Settings(settle=0.04, hottest=None)
     drive(ExportedPolicy(folder), bus, seconds=2.0, log=log, settings=settings)
-    assert len(log.steps) == 49
+    assert len(log.steps) == 98
 
 
 def test_a_robot_of_your_own_is_driven(folder, tmp_path, monkeypatch):
@@ -153,12 +153,12 @@ def test_a_robot_of_your_own_is_driven(folder, tmp_path, monkeypatch):
     assert lines[-1] == "closed"
     assert [line.split()[0] for line in lines[:4]] == ["21", "41", "85", "48"]  # 0x15, 0x29 ...
     goals = np.array([line.split()[1:] for line in lines[4:-1] if line.startswith("42 ")], int)
-    assert goals.shape == (11, 20)  # as it stands, then ten control steps of 40 ms
+    assert goals.shape == (21, 20)  # as it stands, then twenty control steps of 20 ms
     assert (goals[0] == 2048).all()
     assert (goals[-1] != 2048).any()
     assert "hottest" in done.stdout
     assert "30 degrees Celsius" in done.stdout
-    assert len(pd.read_csv(tmp_path / "out" / "drive.csv")) == 5
+    assert len(pd.read_csv(tmp_path / "out" / "drive.csv")) == 10
 
 
 def test_the_nominal_robot_measures_everything_and_is_stood_up_by_the_policy(folder):
@@ -189,17 +189,17 @@ def test_a_sensor_that_gives_no_number_stops_the_robot(folder, bus, monkeypatch)
     log = Log(None, bus.joints)
     with pytest.raises(Stopped, match="base_angular_velocity"):
         drive(ExportedPolicy(folder), bus, seconds=1.0, log=log, settings=Settings(settle=0.04))
-    assert bus.now() == pytest.approx(0.52)  # the first step of 40 ms after it
+    assert bus.now() == pytest.approx(0.52)  # the first step of 20 ms after it
 
 
 def test_control_steps_begin_where_the_simulated_robot_measures(folder, bus):
-    """Opened 20 ms late, its first step of 40 ms begins at 40 ms, and each after it in time."""
-    bus.wait_until(0.02)
+    """Opened 10 ms late, its first step of 20 ms begins at 20 ms, and each after it in time."""
+    bus.wait_until(0.01)
     log = Log(None, bus.joints)
     drive(ExportedPolicy(folder), bus, seconds=0.4, log=log, settings=Settings(settle=0.04))
     times = np.array([row["time_s"] for row in log.steps])
-    np.testing.assert_allclose(times / 0.04, np.round(times / 0.04), atol=1e-6)
-    assert times[0] == pytest.approx(0.08)  # after the step that settles
+    np.testing.assert_allclose(times / 0.02, np.round(times / 0.02), atol=1e-6)
+    assert times[0] == pytest.approx(0.06)  # after the two steps that settle
 
 
 def test_a_drive_that_is_over_before_the_policy_acts_is_refused(folder, bus):

@@ -157,7 +157,7 @@ def test_what_cannot_be_switched_is_refused(recover, kneel, message):
 
 def test_where_the_robot_rises_the_table_says_when_it_rests_and_how_its_tilt_is_known():
     """Not 0.1 m/s, as where a kneel is the end, and not the filter for small angles."""
-    content = switched_checkpoint("twin", "script", env="push_to_stand")
+    content = switched_checkpoint("twin_25hz", "script", env="push_to_stand")
     transforms = OmegaConf.create(content["config"]).env.transforms
     table = compose_config(["env=push_to_stand"]).env.transforms
     assert transforms.mode.rest_speed == table.mode.rest_speed > 0.1

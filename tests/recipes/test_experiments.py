@@ -91,7 +91,9 @@ def test_atalante_is_conditioned_for_smoothness(name, compose_config):
 
 def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
     """What each stage leaves out; all critics see the same, so that they go on."""
-    stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
+    stages = {
+        stage.name: stage.config for stage in stages_of(compose_config("experiment=twin_fast"))
+    }
     in_twin = ["twin", "idle", "fast", "slower", "edge"]
     assert list(stages) == ["step", "steady", "calmer", "calm", "late", *in_twin]
     quick = compose_config("experiment=quickstart").env.transforms
@@ -117,7 +119,9 @@ def test_the_twin_is_learned_in_the_quickstart_s_world_first(compose_config):
 @pytest.mark.parametrize("name", ["fast", "slower", "edge"])
 def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, name):
     """Rewards of a step are half as large, but for two, and discounts the square root."""
-    stages = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
+    stages = {
+        stage.name: stage.config for stage in stages_of(compose_config("experiment=twin_fast"))
+    }
     before, after = stages["idle"], stages[name]
     assert (before.env.base_env.control_dt, after.env.base_env.control_dt) == (0.04, 0.02)
     terms = before.env.transforms.reward.terms, after.env.transforms.reward.terms
@@ -131,23 +135,44 @@ def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, 
     assert after.rollout_steps == 2 * before.rollout_steps
 
 
-def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(compose_config):
-    """By the teacher's rate and sensors, with CAPS, noise and late commands in all stages."""
-    alone = {stage.name: stage.config for stage in stages_of(compose_config("experiment=twin"))}
-    stages = stages_of(compose_config("experiment=twin_gru_mog"))
-    assert [stage.name for stage in stages] == ["taught", "alone", "ramps"]
+@pytest.mark.parametrize(
+    ("name", "teacher", "alone"),
+    [("twin", "stage:edge", ["alone", "ramps"]), ("twin_gru_mog", "twin_fast", ["alone", "quick"])],
+)
+def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(
+    name, teacher, alone, compose_config
+):
+    """By the teacher's rate, with CAPS, noise and late commands in all stages; ramps at last."""
+    before = stages_of(compose_config("experiment=twin_fast"))
+    known = {stage.name for stage in before}
+    stages = [s for s in stages_of(compose_config(f"experiment={name}")) if s.name not in known]
+    edge = before[-1].config
+    assert before[-1].name == "edge"
+    assert [stage.name for stage in stages] == ["taught", *alone]
+    assert [stage.begins_with for stage in stages] == [None, *["taught", *alone][:-1]]
+    assert edge.env.base_env == load_policy("twin_fast").config.env.base_env
     for cfg in (stage.config for stage in stages):
         assert cfg.actor.hidden_size == 64
         assert cfg.actor.components == 3
+        assert cfg.actor.std == 0.08
         assert cfg.auxiliary_losses.caps.temporal_coeff == 0.05
-        for key in ("latency", "noise", "observation"):
-            assert cfg.env.transforms[key] == alone["edge"].env.transforms[key], key
-        assert (
-            cfg.env.base_env.control_dt == load_policy("twin_fast").config.env.base_env.control_dt
-        )
-    teachers = [stage.config.auxiliary_losses.get("imitation") for stage in stages]
-    assert teachers[0].teacher == "twin_fast"
-    assert teachers[1:] == [None, None]
-    ramps = [stage.config.env.transforms.get("planner") for stage in stages]
-    assert ramps[:2] == [None, None]
-    assert ramps[2].acceleration == [30.0, 150.0]
+        for key in ("latency", "noise", "encoder_late", "observation_critic"):
+            assert cfg.env.transforms[key] == edge.env.transforms[key], key
+        assert cfg.env.base_env == edge.env.base_env
+        shown = "observation" if name == "twin" else "observation_teacher"
+        assert cfg.env.transforms[shown]["keys"] == edge.env.transforms.observation["keys"]
+    taught = stages[0].config.auxiliary_losses.imitation
+    assert (taught.teacher, taught.sees) == (teacher, shown)
+    assert not any("imitation" in stage.config.auxiliary_losses for stage in stages[1:])
+    ramps = {stage.name: stage.config.env.transforms.get("planner") for stage in stages}
+    ramps = {key: planner.acceleration for key, planner in ramps.items() if planner is not None}
+    wide = {"alone": [30.0, 150.0], "quick": [30.0, 600.0]}
+    assert ramps == ({"ramps": [30.0, 150.0]} if name == "twin" else wide)
+    assert stages[-1].config.rollout_steps == 32
+
+
+def test_what_has_a_memory_in_the_twin_is_shown_no_speeds(compose_config):
+    """Only where gravity is, how the trunk turns and where the joints are."""
+    for stage in stages_of(compose_config("experiment=twin_gru_mog")):
+        seen = stage.config.env.transforms.observation["keys"]
+        assert seen == ["projected_gravity", "base_angular_velocity", "joint_position"]

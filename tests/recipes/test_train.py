@@ -123,7 +123,7 @@ BAD = [
     ),
     (
         ["warm_start=pose_hold"],
-        "warm_start must be a run folder, or one of atalante, best, best_gru, icub, kneel, kneel_soft, twin, twin_fast, twin_gru_mog, zeroth_fall; there",
+        "warm_start must be a run folder, or one of atalante, best, best_gru, icub, kneel, kneel_soft, twin, twin_25hz, twin_fast, twin_gru_mog, zeroth_fall; there",
     ),
     (
         [

@@ -19,7 +19,7 @@ pytest.importorskip("viser", reason="the extra [view] is not installed")
         (["worlds=0"], "worlds must lie in 1 to 16, got 0"),
         (["worlds=1", "compare=limp"], "worlds must be at least 2 to compare, got 1."),
         (["port=70000"], "port must lie in 0 to 65535, got 70000"),
-        (["run=twin", "compare=zeroth_fall"], "run and compare must have the same control_dt"),
+        (["run=twin_25hz", "compare=zeroth_fall"], "run and compare must have the same control_dt"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(given, message):

@@ -26,7 +26,7 @@ NETWORK = str(ASSETS / "zeroth01_fall_network.pt")
 
 
 def test_what_stands_in_is_read_as_what_is_made(tmp_path):
-    TrainedTrigger(run="twin").stand_in(tmp_path / "trigger.pt")
+    TrainedTrigger(run="twin_25hz").stand_in(tmp_path / "trigger.pt")
     network = load_fall_network(str(tmp_path / "trigger.pt"))
     assert len(network.normalizer.mean) == 3 + 3 + 3 * len(ZEROTH01.joints)
     assert network.trained_with["control_dt"] == 0.04
@@ -45,7 +45,9 @@ def test_a_policy_is_switched_by_the_network_and_the_movements_that_are_named(tm
     """In a table that has no predictor yet, too."""
     catches, rises = (str(own_file(ZEROTH01, f"{name}.npz")) for name in ("catches", "rises"))
     files = {"trigger": NETWORK, "catches": catches, "rises": rises}
-    maker = SwitchedPolicy(recover="twin", env="push_to_stand", probability=0.7, hold=0.08, **files)
+    maker = SwitchedPolicy(
+        recover="twin_25hz", env="push_to_stand", probability=0.7, hold=0.08, **files
+    )
     maker.make(tmp_path / "both.pt", Console(quiet=True))
     policy = load_policy(tmp_path / "both.pt")
     table = policy.config.env.transforms
@@ -56,15 +58,19 @@ def test_a_policy_is_switched_by_the_network_and_the_movements_that_are_named(tm
     env = policy.env()
     td = policy.actor(env.step_mdp(env.step(policy.actor(env.reset()))))
     assert td["fall_probability"].shape == (1, 1)
-    twin = checkpoint.load(ASSETS.parents[1] / "policies" / "twin.pt")["policy"]
+    twin = checkpoint.load(ASSETS.parents[1] / "policies" / "twin_25hz.pt")["policy"]
     assert all(torch.equal(maker.content["policy"][f"recover.{key}"], twin[key]) for key in twin)
 
 
 @pytest.mark.parametrize(
     ("maker", "given", "says"),
     [
-        (RecordedFalls, {"run": "twin", "world": "planar"}, "world .* got planar"),
-        (TrainedTrigger, {"run": "twin", "world": "mars"}, "battery must be one of .* got 'mars'"),
+        (RecordedFalls, {"run": "twin_25hz", "world": "planar"}, "world .* got planar"),
+        (
+            TrainedTrigger,
+            {"run": "twin_25hz", "world": "mars"},
+            "battery must be one of .* got 'mars'",
+        ),
         (SearchedCatches, {"falls": "none.npz"}, "falls must be a file .*none.npz"),
         (SearchedRises, {"bank": "none.npz"}, "bank must be a file .*none.npz"),
         (SwitchedPolicy, {"recover": "none.pt"}, "recover must be a run folder"),

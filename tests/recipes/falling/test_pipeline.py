@@ -65,7 +65,7 @@ def test_one_command_makes_a_policy_that_falls_and_gets_up(whole):
     )  # not that of the training, which had none
     assert table.mode.initial == "recover"
     assert "mirrored_falls" in table
-    twin = load_policy("twin").actor.state_dict()
+    twin = load_policy("twin_25hz").actor.state_dict()
     softer = checkpoint.load(whole / "checkpoints" / "softer.pt")["policy"]
     state = policy.actor.state_dict()
     assert all(torch.equal(state[f"recover.{key}"], value) for key, value in twin.items())
