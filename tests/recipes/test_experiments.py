@@ -135,6 +135,16 @@ def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, 
     assert after.rollout_steps == 2 * before.rollout_steps
 
 
+def test_the_twin_begins_with_all_that_twin_fast_learns(compose_config):
+    """Stage by stage the same config, but for the table of the stages itself."""
+    before = stages_of(compose_config("experiment=twin_fast"))
+    stages = stages_of(compose_config("experiment=twin"))[: len(before)]
+    assert [stage.name for stage in stages] == [stage.name for stage in before]
+    assert [stage.begins_with for stage in stages] == [stage.begins_with for stage in before]
+    for stage, same in zip(stages, before, strict=True):
+        assert stage.config == same.config, stage.name
+
+
 @pytest.mark.parametrize(
     ("name", "teacher", "alone"),
     [("twin", "stage:edge", ["alone", "ramps"]), ("twin_gru_mog", "twin_fast", ["alone", "quick"])],
@@ -142,37 +152,50 @@ def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, 
 def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(
     name, teacher, alone, compose_config
 ):
-    """By the teacher's rate, with CAPS, noise and late commands in all stages; ramps at last."""
-    before = stages_of(compose_config("experiment=twin_fast"))
-    known = {stage.name for stage in before}
-    stages = [s for s in stages_of(compose_config(f"experiment={name}")) if s.name not in known]
-    edge = before[-1].config
-    assert before[-1].name == "edge"
-    assert [stage.name for stage in stages] == ["taught", *alone]
-    assert [stage.begins_with for stage in stages] == [None, *["taught", *alone][:-1]]
+    """By the teacher's rate, with CAPS, noise and late commands in all stages."""
+    edge = stages_of(compose_config("experiment=twin_fast"))[-1].config
     assert edge.env.base_env == load_policy("twin_fast").config.env.base_env
+    stages = stages_of(compose_config(f"experiment={name}"))[-3:]
+    assert [stage.name for stage in stages] == ["taught", *alone]
+    assert [stage.begins_with for stage in stages] == [None, "taught", "alone"]
+    shown = "observation" if name == "twin" else "observation_teacher"
     for cfg in (stage.config for stage in stages):
-        assert cfg.actor.hidden_size == 64
-        assert cfg.actor.components == 3
-        assert cfg.actor.std == 0.08
-        assert cfg.auxiliary_losses.caps.temporal_coeff == 0.05
-        for key in ("latency", "noise", "encoder_late", "observation_critic"):
-            assert cfg.env.transforms[key] == edge.env.transforms[key], key
+        assert (cfg.actor.hidden_size, cfg.actor.components, cfg.actor.std) == (64, 3, 0.08)
+        assert cfg.auxiliary_losses.caps == edge.auxiliary_losses.caps
         assert cfg.env.base_env == edge.env.base_env
-        shown = "observation" if name == "twin" else "observation_teacher"
+        for key in ("latency", "noise", "encoder_late", "observation_critic", "curriculum"):
+            assert cfg.env.transforms[key] == edge.env.transforms[key], key
         assert cfg.env.transforms[shown]["keys"] == edge.env.transforms.observation["keys"]
-    taught = stages[0].config.auxiliary_losses.imitation
-    assert (taught.teacher, taught.sees) == (teacher, shown)
-    assert not any("imitation" in stage.config.auxiliary_losses for stage in stages[1:])
-    ramps = {stage.name: stage.config.env.transforms.get("planner") for stage in stages}
-    ramps = {key: planner.acceleration for key, planner in ramps.items() if planner is not None}
-    wide = {"alone": [30.0, 150.0], "quick": [30.0, 600.0]}
-    assert ramps == ({"ramps": [30.0, 150.0]} if name == "twin" else wide)
-    assert stages[-1].config.rollout_steps == 32
+    taught, *rest = (stage.config for stage in stages)
+    imitation = taught.auxiliary_losses.imitation
+    assert (imitation.teacher, imitation.sees) == (teacher, shown)
+    assert (taught.auxiliary_share, taught.scheduler) == (1.0, None)
+    assert not any("imitation" in cfg.auxiliary_losses for cfg in rest)
+    assert all(cfg.scheduler.target_kl < 0.02 for cfg in rest)
 
 
-def test_what_has_a_memory_in_the_twin_is_shown_no_speeds(compose_config):
-    """Only where gravity is, how the trunk turns and where the joints are."""
-    for stage in stages_of(compose_config("experiment=twin_gru_mog")):
-        seen = stage.config.env.transforms.observation["keys"]
+def test_ramps_of_the_servos_come_once_a_policy_goes_on_alone(compose_config):
+    """In training alone, by rollouts of 0.64 s; a pose to rest in is asked for in one stage."""
+    ramps = {}
+    for name in ("twin", "twin_gru_mog"):
+        for stage in stages_of(compose_config(f"experiment={name}")):
+            planner = stage.config.env.transforms.get("planner")
+            assert ("planner" in stage.config.env.training_only) == (planner is not None)
+            if planner is not None:
+                ramps[name, stage.name] = planner.acceleration
+                assert stage.config.rollout_steps == 32
+            posed = "rest" in stage.config.env.transforms.reward.terms
+            assert posed == ((name, stage.name) == ("twin_gru_mog", "alone"))
+    assert ramps == {
+        ("twin", "ramps"): [30.0, 150.0],
+        ("twin_gru_mog", "alone"): [30.0, 150.0],
+        ("twin_gru_mog", "quick"): [30.0, 600.0],
+    }
+
+
+def test_what_has_to_remember_is_shown_neither_joint_speeds_nor_its_targets(compose_config):
+    """Only where gravity is, how the trunk turns and where the joints are; so what ships."""
+    configs = [stage.config for stage in stages_of(compose_config("experiment=twin_gru_mog"))]
+    for cfg in (*configs, load_policy("twin_gru_mog").config):
+        seen = cfg.env.transforms.observation["keys"]
         assert seen == ["projected_gravity", "base_angular_velocity", "joint_position"]
