@@ -220,8 +220,6 @@ def run_battery(
     count = len(trials) if only is None else len(only)
     worlds = BLOCK * -(-min(num_envs, count) // BLOCK)
     env, start, push = battery_env(battery, cfg, worlds, servos=servos, pushes=pushes.time.shape[1])
-    if actor is not None and recurrent_keys(actor):
-        env.append_transform(get_primers_from_module(actor))
     base = env.base_env
     trials = those_of(trials, only)
     results = []
@@ -268,11 +266,14 @@ def play(
 ) -> Iterator[TensorDictBase]:
     """Runs the env from a fresh reset, without exploration, and yields what follows each step.
 
-    Without an actor the servos hold the reference pose.
+    Without an actor the servos hold the reference pose. The env carries the memory of a recurrent
+    one: it gets a primer for it unless it has one.
     """
     act: Any = actor
     if actor is None:
         act = hold_pose(env)
+    elif not set(recurrent_keys(actor)) <= set(env.observation_spec.keys(True, True)):
+        env.append_transform(get_primers_from_module(actor))
     exploring = set_exploration_type(ExplorationType.DETERMINISTIC)
     with torch.no_grad(), physics_first(), exploring:
         td = env.reset()

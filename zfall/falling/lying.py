@@ -178,7 +178,7 @@ def kneeling_bank(
         directions=24,
         world=world_of(world),
     )
-    worlds = pushed_worlds(battery, env_cfg, actor, seed=seed, control_arm=False)
+    worlds = pushed_worlds(battery, env_cfg, seed=seed, control_arm=False)
     trials, seen, parts = len(worlds.trials), None, list[dict[str, Tensor]]()
     steps = round(battery.end_time / worlds.env.base_env.control_dt)
     for td in play(worlds.env, actor, steps):

@@ -7,10 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import torch
 from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
-from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.tables import robot_of
 from zfall.envs.worlds import World
@@ -18,7 +16,6 @@ from zfall.evaluation.battery import BLOCK, arrange, battery_env, begin_streams
 from zfall.evaluation.candidate import Candidate, load_candidate
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials
-from zfall.modules.actors import recurrent_keys
 from zfall.policies import load_policy
 
 PUSH_TIME = 0.52  # [s], whole control steps of 20 and 40 ms; pushes begin somewhere in the last
@@ -59,7 +56,6 @@ class PushedWorlds(NamedTuple):
 def pushed_worlds(
     battery: Battery,
     env_cfg: DictConfig,
-    actor: torch.nn.Module | None,
     *,
     seed: int,
     servos: bool = True,
@@ -70,7 +66,6 @@ def pushed_worlds(
     Args:
         battery: the definition.
         env_cfg: config of the env.
-        actor: the policy that is to act in them; ``None`` for a baseline.
         seed: of the trials, and of when in a control step a push begins.
         servos: whether the servos act at all.
         control_arm: whether there are trials without a push.
@@ -80,8 +75,6 @@ def pushed_worlds(
         trials = trials[trials["impulse"] > 0].reset_index(drop=True)
     worlds = BLOCK * -(-len(trials) // BLOCK)
     env, begin, push = battery_env(battery, env_cfg, worlds, servos=servos)
-    if actor is not None and recurrent_keys(actor):
-        env.append_transform(get_primers_from_module(actor))
     base = env.base_env
     rows = np.arange(worlds).clip(max=len(trials) - 1)
     begin_streams(base, seed, trials["trial"].iloc[rows])

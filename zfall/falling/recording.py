@@ -85,7 +85,7 @@ def record_falls(
         directions=24,
         world=world_of(world),
     )
-    worlds = pushed_worlds(battery, env_cfg, actor, seed=seed, servos=servos, control_arm=False)
+    worlds = pushed_worlds(battery, env_cfg, seed=seed, servos=servos, control_arm=False)
     base, count = worlds.env.base_env, len(worlds.trials)
     moment = _AtTrigger(base.num_envs) if times is None else _AtTimes(times, base.control_dt)
     fell, moments = torch.zeros(base.num_envs, dtype=torch.bool), []

@@ -87,7 +87,7 @@ def record(
         end_time=3.0,
         world=world_of(world),
     )
-    worlds = pushed_worlds(battery, env_cfg, actor, seed=seed, servos=servos)
+    worlds = pushed_worlds(battery, env_cfg, seed=seed, servos=servos)
     base, count = worlds.env.base_env, len(worlds.trials)
     steps: list[list[Tensor]] = []
     live = torch.ones(base.num_envs, dtype=torch.bool)
