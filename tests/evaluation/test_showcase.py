@@ -36,7 +36,7 @@ def test_film_shows_one_push_from_each_side_when_that_of_the_battery_comes(
 
 
 def test_a_policy_with_a_memory_is_filmed_and_stands_where_servos_fall():
-    """Pushed by I = 0.4 from four sides in the nominal world, in which ``twin`` is at its best."""
+    """Pushed by I = 0.4 from four sides in the nominal world."""
     policy = load_candidate("twin")
     recorded = record(replace(load_battery("planar"), push_time=1.0), policy.env_cfg, policy.actor)
     assert [outcome[0][1] for outcome in recorded.outcomes] == ["stays up"] * 4

@@ -136,7 +136,7 @@ def test_twice_as_many_decisions_are_worth_the_same_in_a_second(compose_config, 
 
 
 def test_the_twin_begins_with_all_that_twin_fast_learns(compose_config):
-    """Stage by stage the same config, but for the table of the stages itself."""
+    """Stage by stage the same config."""
     before = stages_of(compose_config("experiment=twin_fast"))
     stages = stages_of(compose_config("experiment=twin"))[: len(before)]
     assert [stage.name for stage in stages] == [stage.name for stage in before]
