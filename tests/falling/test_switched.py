@@ -55,7 +55,10 @@ def test_one_may_have_a_memory_and_both_may_not(env):
 
 
 def test_memories_of_other_names_go_on_next_to_each_other(env):
-    """A GRU and an LSTM over three steps: the memories of each are those it has by itself."""
+    """A GRU and an LSTM over three steps: the memories of each are those it has by itself.
+
+    Worlds 1 and 2 do not recover: there the memory for it stays as it begins.
+    """
     lstm = {"_target_": "tests.recurrent.lstm_actor"}
     actor = switched_actor(*specs(env), recover=GRU, kneel=lstm)
     size = env.observation_spec["observation"].shape[-1]
@@ -69,7 +72,9 @@ def test_memories_of_other_names_go_on_next_to_each_other(env):
         alone = live_through(part, td, own)
         for key in own:
             assert alone[key][:, 1:].abs().max() > 1e-3
-            assert torch.equal(both[key], alone[key])
+            rows = 1 if part is actor.recover else 3
+            assert torch.equal(both[key][:rows], alone[key][:rows])
+            assert not both[key][rows:].any()
 
 
 @pytest.mark.parametrize("begins", [True, False])
@@ -92,6 +97,25 @@ def test_a_memory_for_kneeling_begins_with_it_or_before(env, begins):
         fresh = actor.kneel(td.clone().set(key, new))["action"]
     assert torch.equal(action[0], fresh[0]) is begins
     assert not torch.equal(action[1], fresh[1])
+
+
+def test_a_robot_that_got_up_recovers_with_a_new_memory(env):
+    """Worlds 1 and 2 kneel, then recover; what they do then is what a new memory does."""
+    torch.manual_seed(0)
+    actor = switched_actor(*specs(env), recover=GRU, kneel=MLP)
+    size = env.observation_spec["observation"].shape[-1]
+    key = "recurrent_state_actor"
+    td = TensorDict({"observation": torch.randn(3, size), "mode": torch.eye(3),
+                     "is_init": torch.zeros(3, 1, dtype=torch.bool)}, batch_size=[3])  # fmt: skip
+    old, new = torch.full((3, 1, 8), 0.5), torch.zeros(3, 1, 8)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        after = actor(td.clone().set(key, old))["next", key]
+        td["observation"] = torch.randn(3, size)
+        td["mode"] = torch.eye(3)[[0, 0, 0]]
+        action = actor(td.clone().set(key, after))["action"]
+        fresh = actor.recover(td.clone().set(key, new))["action"]
+    assert torch.equal(action[1:], fresh[1:])
+    assert not torch.equal(action[0], fresh[0])
 
 
 def test_who_leaves_the_way_down_to_the_script_does_nothing(env):

@@ -23,7 +23,10 @@ SCRIPT = "script"  # in the place of a policy that kneels: the movements alone
 
 
 class SwitchedActor(TensorDictModuleBase):
-    """Acts as one policy in mode RECOVER and as another in KNEEL and STABLE.
+    """Acts as one policy in mode RECOVER and as another in the others.
+
+    The memory of ``recover`` begins anew when the robot has got up: it was trained in episodes that
+    begin on its feet.
 
     Keys: reads ``mode`` ``(*B, 3)`` and what the two read; writes ``action`` ``(*B, J)`` and the
     hidden state of the one that has a memory.
@@ -64,8 +67,9 @@ class SwitchedActor(TensorDictModuleBase):
                 if key not in out.keys(True):
                     continue
                 tensordict[key] = out[key]
-                if self.begins and actor is self.kneel:
-                    rows = recovers.view(*recovers.shape, *[1] * (out[key].ndim - recovers.ndim))
+                if actor is self.recover or self.begins:
+                    rows = recovers == (actor is self.kneel)
+                    rows = rows.view(*rows.shape, *[1] * (out[key].ndim - rows.ndim))
                     tensordict[key] = out[key].masked_fill(rows, 0.0)
         return tensordict.set("action", torch.where(recovers, *actions))
 
