@@ -3,7 +3,8 @@
 In a clone it lies in ``recipes/`` beside the package, in an installed wheel in ``zfall/recipes``.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,45 @@ def _sized(value: float, unit: str, *, _parent_: Any) -> float:
     return size
 
 
-OmegaConf.register_new_resolver("sized", _sized, replace=True)
+def _of_policy(run: str, key: str) -> Any:
+    """``${policy:twin,env.base_env.control_dt}``: that value of the config of a policy."""
+    return get_method("zfall.policies.load.config_value")(run, key)
+
+
+def _control_dt(parent: Any) -> float:
+    """Length of a control step [s] of the env in or next to which a value stands."""
+    while parent is not None:
+        for key in ("base_env.control_dt", "env.base_env.control_dt"):
+            if isinstance(parent, DictConfig) and OmegaConf.select(parent, key) is not None:
+                return float(OmegaConf.select(parent, key))
+        parent = parent._get_parent()
+    raise ValueError("env.base_env must have a control_dt for times to be counted in steps.")
+
+
+def _decisions(seconds: float, *, _parent_: Any) -> int:
+    """``${decisions:1.2}``: how many control steps 1.2 s are."""
+    return round(seconds / _control_dt(_parent_))
+
+
+def _decay(seconds: float, *, _parent_: Any) -> float:
+    """``${decay:1.3}``: what a control step leaves of something with this time constant [s]."""
+    return math.exp(-_control_dt(_parent_) / seconds)
+
+
+def _per_decision(rate: float, *, _parent_: Any) -> float:
+    """``${per_decision:5.0}``: what a control step has of 5.0 a second."""
+    return rate * _control_dt(_parent_)
+
+
+_RESOLVERS: Mapping[str, Callable[..., Any]] = {
+    "sized": _sized,
+    "policy": _of_policy,
+    "decisions": _decisions,
+    "decay": _decay,
+    "per_decision": _per_decision,
+}
+for _name, _resolver in _RESOLVERS.items():
+    OmegaConf.register_new_resolver(_name, _resolver, replace=True)
 
 
 def _recipe_runs() -> bool:

@@ -43,6 +43,7 @@ class Keys(TypedDict):
     elite: Count
     rounds: Count
     spread: Positive
+    control_dt: Positive
     seed: Seed
     launcher: Name
     launch: Mapping[Name, Any] | None

@@ -34,6 +34,7 @@ class Keys(TypedDict):
     rounds: Count
     spread: Positive
     pace: Positive
+    control_dt: Positive
     seed: Seed
     movements: Mapping[Name, Mapping[Name, Any]]
 

@@ -21,19 +21,20 @@ AFTER = 0.5  # for which a trial goes on once torso or head touched [s], as in b
 FORCE, ACCELERATION = 1200.0, 400.0  # worst that a score tells apart [N, m/s2]
 
 
-def falling_worlds(count: int, world: str | None = None) -> EnvBase:
+def falling_worlds(count: int, world: str | None = None, *, control_dt: float = 0.04) -> EnvBase:
     """Worlds for ``Falls``, whose targets are given.
 
     Args:
         count: number of worlds.
         world: battery whose hardware is met, ``twin``, each time in another draw; ``None``: the
             published servos, and no delays.
+        control_dt: of the policy that the falls are of [s].
     """
     hardware = world_of(world) or {}
     base: HumanoidEnv = instantiate(
         {"_target_": "zfall.envs.humanoid.HumanoidEnv", **hardware.get("base_env", {})},
         num_envs=count,
-        control_dt=0.04,
+        control_dt=control_dt,
         physics_dt=0.004,
         _convert_="all",
     )

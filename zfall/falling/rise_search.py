@@ -51,17 +51,18 @@ class LyingWorlds:
         count: number of worlds.
         bank: file of ``recipes.falling.lying``.
         seed: of the draws of the twin.
+        control_dt: of the policy that rises [s].
 
     Raises:
         ValueError: if there is no such bank.
     """
 
-    def __init__(self, count: int, bank: Path, *, seed: int = 0):
+    def __init__(self, count: int, bank: Path, *, seed: int = 0, control_dt: float = 0.04):
         world = load_battery("twin").world or {}
         base = instantiate(
             {"_target_": "zfall.envs.humanoid.HumanoidEnv", **world["base_env"]},
             num_envs=count,
-            control_dt=0.04,
+            control_dt=control_dt,
             physics_dt=0.004,
             _convert_="all",
         )

@@ -136,6 +136,23 @@ def checkpoint_or_file(run: str, name: str = "last", *, key: str = "run") -> Pat
     return path if path.suffix == ".pt" and path.is_file() else checkpoint_of(run, name, key=key)
 
 
+def config_value(run: str, key: str) -> Any:
+    """A value of the config of a run folder's policy, of one that ships, or of a checkpoint's file.
+
+    Args:
+        run: as ``checkpoint_or_file`` takes it.
+        key: full, ``env.base_env.control_dt``.
+
+    Raises:
+        ValueError: if there is no such policy, or it has no such value.
+    """
+    path = checkpoint_or_file(run, key="recover")
+    value = OmegaConf.select(OmegaConf.create(checkpoints.load(path)["config"]), key)
+    if value is None:
+        raise ValueError(f"the policy must have {key} in its config, {run} has none.")
+    return value
+
+
 def _check_named(name: str, names: Sequence[str], run: str) -> None:
     if name not in names:
         raise ValueError(f"checkpoint must be {' or '.join(names)} of {run}, got {name}.")

@@ -1,5 +1,7 @@
 """``experiment=falling``: all that a policy which recovers needs to fall well, from one command."""
 
+import math
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -65,7 +67,8 @@ def test_one_command_makes_a_policy_that_falls_and_gets_up(whole):
     )  # not that of the training, which had none
     assert table.mode.initial == "recover"
     assert "mirrored_falls" in table
-    twin = load_policy("twin_25hz").actor.state_dict()
+    assert policy.config.env.base_env.control_dt == 0.02  # as often as twin decides
+    twin = load_policy("twin").actor.state_dict()
     softer = checkpoint.load(whole / "checkpoints" / "softer.pt")["policy"]
     state = policy.actor.state_dict()
     assert all(torch.equal(state[f"recover.{key}"], value) for key, value in twin.items())
@@ -151,7 +154,7 @@ def test_killed_in_a_search_and_in_a_training_and_resumed_it_makes_the_same(
 def test_a_stage_for_each_thing_and_all_of_it_in_the_twin():
     stages = {
         stage.name: stage
-        for stage in stages_of(compose_config(["experiment=falling", "recover=x"]))
+        for stage in stages_of(compose_config(["experiment=falling", "recover=twin_fast"]))
     }
     assert [*stages] == [
         "recovers",
@@ -169,8 +172,36 @@ def test_a_stage_for_each_thing_and_all_of_it_in_the_twin():
     for name in ("trigger", "falls", "catches", "lying"):
         assert stages[name].make["world"] == "twin"
     for name in ("recovers", "gives_up", "lands", "falling"):
-        assert stages[name].make["recover"] == "x"
+        assert stages[name].make["recover"] == "twin_fast"
     assert stages["lying"].make["seed"] != 0  # which is that of the battery's
+
+
+@pytest.mark.parametrize(
+    ("recover", "hertz"), [("twin_25hz", 25), ("twin", 50), ("twin_gru_mog", 50)]
+)
+def test_what_takes_time_takes_as_long_for_any_policy_that_recovers(recover, hertz):
+    """Falls of 1.2 s; what a second brings; and the policy that kneels sees what recover sees."""
+    cfg = compose_config(["experiment=falling", f"recover={recover}"])
+    stages = {stage.name: stage for stage in stages_of(cfg)}
+    lower, known = stages["lower"].config, load_policy(recover).config.env
+    terms = lower.env.transforms.reward.terms
+    assert lower.env.base_env.control_dt == 1 / hertz == known.base_env.control_dt
+    assert lower.rollout_steps == round(1.2 * hertz)
+    assert lower.rollout_steps / lower.minibatches == 7.5
+    assert lower.loss.gamma**hertz == pytest.approx(math.exp(-1 / 1.3))
+    assert terms.kneeling[0] * hertz == pytest.approx(5.0)
+    assert terms.clean_kneeling[0] * hertz == pytest.approx(17.5)
+    assert lower.env.transforms.observation == known.transforms.observation
+    for name in ("catches", "rises"):
+        assert stages[name].make["control_dt"] == 1 / hertz
+
+
+def test_a_policy_to_recover_that_there_is_not_is_said_in_one_line(tmp_path):
+    done = run("train", *TINY, "recover=nobody", f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: recover must be a run folder, or one of")
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.long

@@ -45,6 +45,7 @@ class SearchedCatches:
         elite: movements that are kept.
         rounds: for each heading and range of speed.
         spread: of the first round [rad].
+        control_dt: of the policy that falls [s].
         seed: of the search.
     """
 
@@ -64,6 +65,7 @@ class SearchedCatches:
         elite: Count = 24,
         rounds: Count = 20,
         spread: Positive = 0.5,
+        control_dt: Positive = 0.04,
         seed: Seed = 0,
     ):
         check_world_name(world)
@@ -77,6 +79,7 @@ class SearchedCatches:
         )
         check_bins(headings, speeds, until)
         self.falls, self.world, self.headings = Path(falls), world, list(headings)
+        self.control_dt = control_dt
         load_bank(self.falls, DEFAULT, needs=PUSH_KEYS, name="falls")
         self.speeds, self.until = list(speeds), list(until)
 
@@ -91,7 +94,8 @@ class SearchedCatches:
         progress, catches = Progress(path.parent), self.first
         if progress.found is not None:
             catches = load_catches(DEFAULT, progress.found)
-        worlds = falling_worlds(self.search.candidates * self.search.trials, self.world)
+        count = self.search.candidates * self.search.trials
+        worlds = falling_worlds(count, self.world, control_dt=self.control_dt)
         falls, begin = Falls(worlds, self.falls), len(progress.lines)
         for attempt in improve(catches, falls, self.search, self.headings, begin=begin):
             console.print(str(attempt), soft_wrap=True)

@@ -37,6 +37,7 @@ class SearchedRises:
         rounds: for each movement.
         spread: of the first round [rad].
         pace: time of those that are searched, as a share of that which they are known with.
+        control_dt: of the policy that rises [s].
         seed: of the search and of the twin's draws.
     """
 
@@ -56,6 +57,7 @@ class SearchedRises:
         rounds: Count = 10,
         spread: Positive = 0.15,
         pace: Positive = 1.0,
+        control_dt: Positive = 0.04,
         seed: Seed = 0,
     ):
         self.search = CrossEntropySearch(
@@ -74,6 +76,7 @@ class SearchedRises:
         if unknown := [name for name in self.names if name not in self.known.names]:
             known_names = ", ".join(self.known.names)
             raise ValueError(f"searched must be of {known_names}, got {unknown[0]}.")
+        self.control_dt = control_dt
         check_number(pace, "pace", lambda x: x > 0, "be positive")
         ends = self.known.ends.clone()
         ends[[self.known.names.index(name) for name in self.names]] *= pace
@@ -89,7 +92,8 @@ class SearchedRises:
             rises = load_rises(DEFAULT, progress.found)
         if left := self.names[len(progress.lines) :]:
             search = self.search
-            worlds = LyingWorlds(search.candidates * search.trials, self.bank)
+            count = search.candidates * search.trials
+            worlds = LyingWorlds(count, self.bank, control_dt=self.control_dt)
         for name in left:
             worlds.env.set_seed(search.seed)  # so that it is the same by itself
             line = f"{name}: {self._searched(worlds, rises, name)}"
