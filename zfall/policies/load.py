@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -147,10 +148,16 @@ def config_value(run: str, key: str) -> Any:
         ValueError: if there is no such policy, or it has no such value.
     """
     path = checkpoint_or_file(run, key="recover")
-    value = OmegaConf.select(OmegaConf.create(checkpoints.load(path)["config"]), key)
+    value = OmegaConf.select(_config_of(path, path.stat().st_mtime_ns), key)
     if value is None:
         raise ValueError(f"the policy must have {key} in its config, {run} has none.")
     return value
+
+
+@lru_cache(maxsize=4)
+def _config_of(path: Path, written: int) -> DictConfig:
+    """The config of a checkpoint, read once as long as nothing is written anew."""
+    return OmegaConf.create(checkpoints.load(path)["config"])
 
 
 def _check_named(name: str, names: Sequence[str], run: str) -> None:
