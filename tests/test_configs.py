@@ -63,7 +63,7 @@ def test_a_value_of_a_policy_is_read_from_its_file():
     cfg.recover = "twin"
     assert cfg.dt == 0.02
     for run, key, rule in (
-        ("nobody", "env", "recover must be a run folder, or one of .*; there is no folder nobody"),
+        ("nobody", "env", "policy must be a run folder, or one of .*; there is no folder nobody"),
         ("twin", "env.colour", "the policy must have env.colour in its config, twin has none"),
     ):
         with pytest.raises(InterpolationResolutionError, match=rule):

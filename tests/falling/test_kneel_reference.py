@@ -11,6 +11,7 @@ from torch.testing import assert_close
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.falling.kneel_reference import KneelReference
 from zfall.falling.movements import load_catches, save_catches
+from zfall.falling.recorded_falls import last_choice
 from zfall.robots import ZEROTH01
 
 KNEEL = torch.tensor(ZEROTH01.posture("kneel"))
@@ -63,6 +64,20 @@ def test_each_world_may_have_its_own_speed(make_base):
     stand = env.stand_position.expand(20, -1)
     gone = (step(reference, [1] * 20, stand) - stand).abs().amax(1)
     assert_close(gone, 0.04 * reference.speed)
+
+
+@pytest.mark.parametrize("control_dt", [0.04, 0.02, 0.012])
+def test_the_search_knows_falls_by_the_push_that_acts_until_the_last_choice(
+    make_base, stored, control_dt
+):
+    """The heading turns by a sector in each step: a choice changes as long as it is open."""
+    reference = KneelReference(make_base(num_envs=1, control_dt=control_dt), catches=stored)
+    stand, last = torch.zeros(1, 20), 0
+    for number in range(12):
+        before, angle = reference.choice.clone(), math.radians(30.0 * number)
+        step(reference, [1], stand, velocity=(math.cos(angle), math.sin(angle)))
+        last = number if reference.choice != before else last
+    assert last_choice(control_dt) == pytest.approx(last * control_dt)
 
 
 @pytest.fixture

@@ -18,6 +18,8 @@ from zfall.fingerprints import reads_files
 from zfall.rotations import turn_to_heading
 from zfall.values import NotNegative, NotNegativeOrInfinite, Positive
 
+SETTLE = 0.06  # time in which another movement may take the place of the first [s]
+
 
 @reads_files(lambda values, robot: [Path(values.get("catches") or catches_path(robot))], "catches")
 class KneelReference(Transform):
@@ -67,7 +69,7 @@ class KneelReference(Transform):
         *,
         speed: Positive = 6.0,
         moving: NotNegativeOrInfinite = 0.3,
-        settle: NotNegative = 0.06,
+        settle: NotNegative = SETTLE,
         landing: Positive | None = None,
         catches: str | None = None,
     ):

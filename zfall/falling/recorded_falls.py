@@ -1,5 +1,6 @@
 """Recorded falls that go on without a policy, and how they end."""
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from torchrl.envs import EnvBase
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.envs.make import make_env
 from zfall.falling.banks import PUSH_KEYS, load_bank
+from zfall.falling.kneel_reference import SETTLE
 from zfall.falling.pushed import world_of
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import turn_to_heading
@@ -43,12 +45,17 @@ def falling_worlds(count: int, world: str | None = None, *, control_dt: float = 
     return make_env(base, {**hardware["commands"], **hardware["physics"]})
 
 
+def last_choice(control_dt: float) -> float:
+    """When ``KneelReference`` chooses its movement for the last time, after the first [s]."""
+    return (math.ceil(SETTLE / control_dt - 1e-6) - 1) * control_dt
+
+
 class Falls:
     """Falls of a bank, with which worlds begin.
 
     Attributes:
-        speed: of the center of mass along the ground, after what of the push acts in the first
-            control step ``(K,)`` [m/s].
+        speed: of the center of mass along the ground, after what of the push acts until
+            ``KneelReference`` chooses its movement for the last time ``(K,)`` [m/s].
         heading: its direction, from the robot's own, counterclockwise ``(K,)`` [degrees].
 
     Args:
@@ -69,7 +76,7 @@ class Falls:
         self.force, self.left = bank["push_force"], bank["push_left"][:, 0]
         self.env, count = env, len(self.force)
         velocity = torch.empty(count, 2)
-        soon = self.left.clamp(max=env.control_dt)[:, None] / env.mass  # as KneelReference sees it
+        soon = self.left.clamp(max=last_choice(env.control_dt))[:, None] / env.mass
         for rows in torch.arange(count).split(env.num_envs):  # the last ones are filled up
             td = self.begin(torch.cat([rows, rows.new_zeros(env.num_envs - len(rows))]))
             speed = td["com_velocity"][: len(rows), :2] + soon[rows] * self.force[rows, :2]

@@ -147,7 +147,7 @@ def config_value(run: str, key: str) -> Any:
     Raises:
         ValueError: if there is no such policy, or it has no such value.
     """
-    path = checkpoint_or_file(run, key="recover")
+    path = checkpoint_or_file(run, key="policy")
     value = OmegaConf.select(_config_of(path, path.stat().st_mtime_ns), key)
     if value is None:
         raise ValueError(f"the policy must have {key} in its config, {run} has none.")

@@ -19,10 +19,19 @@ def test_lead_and_false_alarms_by_hand():
     probability[2, 4] = 0.6
     early = torch.zeros(3, 10)
     early[0, 1], early[1, 0] = 0.9, 0.9  # before the push of each, of which it knew nothing
-    rows = table("network", history, learned(early), 0.04).set_index("setting")
+    rows = table("network", history, learned(early, 0.04), 0.04).set_index("setting")
     assert rows.loc["0.5", "detected"] == 0.0
-    rows = table("network", history, learned(probability), 0.04).set_index("setting")
+    rows = table("network", history, learned(probability, 0.04), 0.04).set_index("setting")
     assert rows.loc["0.5", "detected"] == 0.5
     assert rows.loc["0.5", "lead_s"] == pytest.approx(0.2)
     assert rows.loc["0.5", "false_alarms"] == 1.0
     assert rows.loc["0.8", "false_alarms"] == 0.0
+
+
+def test_the_network_must_be_sure_for_as_long_as_the_policy_asks_of_it():
+    """0.04 s are one step at 25 Hz and two in a row at 50 Hz."""
+    probability = torch.tensor([[0.0, 0.9, 0.0, 0.9, 0.9, 0.0]])
+    for control_dt, first in ((0.04, 1), (0.02, 4)):
+        state = learned(probability, control_dt)["0.8"][0]
+        assert state.int().argmax() == first
+        assert state[first:].all()

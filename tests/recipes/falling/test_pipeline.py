@@ -25,7 +25,7 @@ TINY = [
     "checkpoint_every=1", "++stages.softer.num_envs=8", "++stages.softer.alike=4",
     "stages.lower.total_frames=64", "stages.softer.total_frames=32",
     "++stages.trigger.make.starts=1", "++stages.trigger.make.impulses=[0.2,1.5]",
-    "++stages.trigger.make.epochs=1", "++stages.falls.make.starts=1", "++stages.falls.make.impulses=[1.5]",
+    "++stages.trigger.make.epochs=8", "++stages.falls.make.starts=1", "++stages.falls.make.impulses=[1.5]",
     *(f"++stages.catches.make.{each.replace(': ', '=')}" for each in FEW),
     "++stages.catches.make.headings=[0,180]", "++stages.lying.make.count=2",
     *(f"++stages.rises.make.{each.replace(': ', '=')}" for each in FEW),
@@ -81,7 +81,7 @@ def test_what_it_makes_comes_to_all_its_modes(whole):
     policy = load_policy(whole, checkpoint="falling")
     env = policy.env(8, training=True)
     env.set_seed(0)
-    modes = torch.stack([td["mode"].argmax(-1) for td in play(env, policy.actor, 300)], 1)
+    modes = torch.stack([td["mode"].argmax(-1) for td in play(env, policy.actor, 600)], 1)
     assert set(modes.unique().tolist()) == {0, 1, 2, 3}
     first = [(modes == mode).float().argmax(1) for mode in (1, 2, 3)]
     fell = (modes == 3).any(1)
@@ -189,6 +189,13 @@ def test_what_takes_time_takes_as_long_for_any_policy_that_recovers(recover, her
     assert lower.rollout_steps == round(1.2 * hertz)
     assert lower.rollout_steps / lower.minibatches == 7.5
     assert lower.loss.gamma**hertz == pytest.approx(math.exp(-1 / 1.3))
+    assert lower.loss.lmbda**hertz == pytest.approx(math.exp(-1 / 0.38))
+    assert lower.env.transforms.exploration.correlation**hertz == pytest.approx(math.exp(-1 / 0.25))
+    assert lower.total_frames / hertz == 400_000  # as many falls
+    assert stages["softer"].config.total_frames / hertz == 320_000
+    softer = stages["softer"].config.env.transforms
+    assert softer.reward == lower.env.transforms.reward
+    assert softer.exploration == lower.env.transforms.exploration
     assert terms.kneeling[0] * hertz == pytest.approx(5.0)
     assert terms.clean_kneeling[0] * hertz == pytest.approx(17.5)
     assert lower.env.transforms.observation == known.transforms.observation
@@ -199,7 +206,7 @@ def test_what_takes_time_takes_as_long_for_any_policy_that_recovers(recover, her
 def test_a_policy_to_recover_that_there_is_not_is_said_in_one_line(tmp_path):
     done = run("train", *TINY, "recover=nobody", f"hydra.run.dir={tmp_path}/run")
     assert done.returncode == 1
-    assert done.stderr.startswith("error: recover must be a run folder, or one of")
+    assert done.stderr.startswith("error: policy must be a run folder, or one of")
     assert len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "run").exists()
 

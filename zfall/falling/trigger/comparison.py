@@ -8,6 +8,7 @@ from torch import Tensor
 from zfall.falling.modes import KNEEL, ModeRule, in_danger, modes_over
 from zfall.falling.trigger.history import History
 
+HOLD = 0.04  # for which a switched policy's network must be sure [s]
 _NEVER = 10**6  # [steps]
 _THRESHOLDS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
 _HOLDS, _RATES, _ANGLES = (0.04, 0.08, 0.2), (2.0, 4.0, np.inf), (0.3, 0.4, 0.5, 0.6, 0.7)
@@ -22,28 +23,43 @@ def comparison(history: History, probability: Tensor, control_dt: float) -> pd.D
         control_dt: of the trials [s].
     """
     parts = [
-        table("network", history, learned(probability), control_dt),
+        table("network", history, learned(probability, control_dt), control_dt),
         table("rule", history, ruled(history, control_dt), control_dt),
     ]
     return pd.concat(parts, ignore_index=True)
 
 
-def learned(probability: Tensor) -> dict[str, Tensor]:
-    """Steps ``(K, T)`` bool at which the network has triggered, by threshold."""
-    return {f"{p:g}": (probability > p).cummax(1).values for p in _THRESHOLDS}
+def learned(probability: Tensor, control_dt: float, *, hold: float = HOLD) -> dict[str, Tensor]:
+    """Steps ``(K, T)`` bool at which the network has triggered, by threshold.
+
+    Args:
+        probability: of a fall ``(K, T)``.
+        control_dt: of the trials [s].
+        hold: for how long it must be above the threshold, as in ``SwitchedPolicy`` [s].
+    """
+    rule = _rule(hold, control_dt)
+    return {f"{p:g}": _given_up(rule, probability > p) for p in _THRESHOLDS}
+
+
+def _rule(hold: float, control_dt: float) -> ModeRule:
+    return ModeRule(hold=max(1, round(hold / control_dt)), rest=_NEVER)
+
+
+def _given_up(rule: ModeRule, danger: Tensor) -> Tensor:
+    no = torch.zeros_like(danger.T)
+    return modes_over(rule, danger.T, no, no).T >= KNEEL
 
 
 def ruled(history: History, control_dt: float) -> dict[str, Tensor]:
     """Steps ``(K, T)`` bool at which the fixed rule has triggered, by tilt, rate and hold."""
     out = {}
     for hold in _HOLDS:
-        rule = ModeRule(hold=max(1, round(hold / control_dt)), rest=_NEVER)
+        rule = _rule(hold, control_dt)
         for rate in _RATES:
             for angle in _ANGLES:
-                danger = in_danger(history.lean, history.rate, angle=angle, angular_velocity=rate).T
-                no = torch.zeros_like(danger)
+                danger = in_danger(history.lean, history.rate, angle=angle, angular_velocity=rate)
                 name = f"{angle:g} rad, {rate:g} rad/s, {hold:g} s"
-                out[name] = modes_over(rule, danger, no, no).T >= KNEEL
+                out[name] = _given_up(rule, danger)
     return out
 
 
