@@ -43,7 +43,6 @@ class Keys(TypedDict):
     elite: Count
     rounds: Count
     spread: Positive
-    control_dt: Positive
     seed: Seed
     launcher: Name
     launch: Mapping[Name, Any] | None

@@ -2,9 +2,13 @@
 
 import pytest
 import torch
+from rich.console import Console
 
 from zfall.falling import search as module
+from zfall.falling.banks import bank_control_dt, load_bank, save_bank
 from zfall.falling.files import own_file
+from zfall.falling.making import SearchedCatches
+from zfall.falling.making import catches as making
 from zfall.falling.movements import HEADINGS, load_catches
 from zfall.falling.recorded_falls import Falls, Landing
 from zfall.falling.search import CrossEntropySearch, check_bins, first_guess, improve
@@ -107,3 +111,20 @@ def test_numbers_that_no_search_can_have_are_refused(values, message):
 def test_bins_that_do_not_rise_or_have_no_movement_are_refused(headings, speeds, until, message):
     with pytest.raises(ValueError, match=message):
         check_bins(headings, speeds, until)
+
+
+def test_a_fall_is_searched_at_the_rate_of_its_policy(tmp_path, monkeypatch):
+    """A bank says how often its policy decides; those of before had 25 Hz."""
+    states = {key: value[:2] for key, value in load_bank(BANK, ZEROTH01).items()}
+    save_bank(tmp_path / "falls.npz", states, control_dt=0.02)
+    assert (bank_control_dt(BANK), bank_control_dt(tmp_path / "falls.npz")) == (0.04, 0.02)
+    rates, few = [], {"candidates": 2, "trials": 1, "elite": 2, "rounds": 1}
+
+    def none(catches, falls, *args, **kwargs):
+        rates.append(falls.env.control_dt)
+        return iter(())
+
+    monkeypatch.setattr(making, "improve", none)
+    for bank in (BANK, tmp_path / "falls.npz"):
+        SearchedCatches(falls=str(bank), **few).make(tmp_path / "catches.npz", Console(quiet=True))
+    assert rates == [0.04, 0.02]

@@ -15,12 +15,21 @@ from zfall.robots import Robot
 PUSH_KEYS = ("push_force", "push_left")  # [N; world], [s]
 # What a policy sees and the state does not contain.
 SEEN_KEYS = ("target", "feet_force", "com_velocity")
+RATE = "control_dt"
 _OF_JOINTS = ("joint_position", "joint_velocity", "target")
 
 
-def save_bank(path: Path, states: Mapping[str, Tensor]) -> None:
-    """Writes arrays ``(K, ...)`` float32, which ``load_bank`` reads."""
+def save_bank(path: Path, states: Mapping[str, Tensor], *, control_dt: float | None = None) -> None:
+    """Writes arrays ``(K, ...)`` float32, which ``load_bank`` reads.
+
+    Args:
+        path: of the file.
+        states: by key.
+        control_dt: of the policy whose falls they are [s]; ``None``: it is not said.
+    """
     arrays: dict[str, Any] = {key: value.numpy() for key, value in states.items()}
+    if control_dt is not None:
+        arrays[RATE] = np.float64(control_dt)
     np.savez_compressed(path, **arrays)
 
 
@@ -61,3 +70,12 @@ def load_bank(
                 f"joint_position; {path} does not for {key}: record it again."
             )
     return states
+
+
+def bank_control_dt(path: Path, *, name: str = "bank") -> float:
+    """Length of a control step of the policy whose falls a bank has [s].
+
+    Those that were recorded before 2026-11-29 do not say it: 0.04 s.
+    """
+    with arrays_of(path, f"{name} must be a file that recipes.falling.falls wrote") as file:
+        return float(file[RATE]) if RATE in file else 0.04

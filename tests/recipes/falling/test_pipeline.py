@@ -11,6 +11,7 @@ from tests.shell import run
 from zfall import checkpoint
 from zfall.configs import compose_config
 from zfall.evaluation.battery import play
+from zfall.falling.banks import bank_control_dt
 from zfall.falling.lying import POSTURES, load_lying
 from zfall.falling.making import SearchedCatches, SearchedRises
 from zfall.falling.movements import HEADINGS, load_catches
@@ -68,6 +69,7 @@ def test_one_command_makes_a_policy_that_falls_and_gets_up(whole):
     assert table.mode.initial == "recover"
     assert "mirrored_falls" in table
     assert policy.config.env.base_env.control_dt == 0.02  # as often as twin decides
+    assert bank_control_dt(whole / "made" / "falls.npz") == 0.02
     twin = load_policy("twin").actor.state_dict()
     softer = checkpoint.load(whole / "checkpoints" / "softer.pt")["policy"]
     state = policy.actor.state_dict()
@@ -199,8 +201,7 @@ def test_what_takes_time_takes_as_long_for_any_policy_that_recovers(recover, her
     assert terms.kneeling[0] * hertz == pytest.approx(5.0)
     assert terms.clean_kneeling[0] * hertz == pytest.approx(17.5)
     assert lower.env.transforms.observation == known.transforms.observation
-    for name in ("catches", "rises"):
-        assert stages[name].make["control_dt"] == 1 / hertz
+    assert stages["rises"].make["control_dt"] == 1 / hertz
 
 
 def test_a_policy_to_recover_that_there_is_not_is_said_in_one_line(tmp_path):

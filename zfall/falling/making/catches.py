@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from rich.console import Console
 
-from zfall.falling.banks import PUSH_KEYS, load_bank
+from zfall.falling.banks import PUSH_KEYS, bank_control_dt, load_bank
 from zfall.falling.making.progress import Progress
 from zfall.falling.movements import (
     HEADINGS,
@@ -45,7 +45,6 @@ class SearchedCatches:
         elite: movements that are kept.
         rounds: for each heading and range of speed.
         spread: of the first round [rad].
-        control_dt: of the policy that falls [s].
         seed: of the search.
     """
 
@@ -65,7 +64,6 @@ class SearchedCatches:
         elite: Count = 24,
         rounds: Count = 20,
         spread: Positive = 0.5,
-        control_dt: Positive = 0.04,
         seed: Seed = 0,
     ):
         check_world_name(world)
@@ -79,7 +77,6 @@ class SearchedCatches:
         )
         check_bins(headings, speeds, until)
         self.falls, self.world, self.headings = Path(falls), world, list(headings)
-        self.control_dt = control_dt
         load_bank(self.falls, DEFAULT, needs=PUSH_KEYS, name="falls")
         self.speeds, self.until = list(speeds), list(until)
 
@@ -95,7 +92,8 @@ class SearchedCatches:
         if progress.found is not None:
             catches = load_catches(DEFAULT, progress.found)
         count = self.search.candidates * self.search.trials
-        worlds = falling_worlds(count, self.world, control_dt=self.control_dt)
+        control_dt = bank_control_dt(self.falls, name="falls")
+        worlds = falling_worlds(count, self.world, control_dt=control_dt)
         falls, begin = Falls(worlds, self.falls), len(progress.lines)
         for attempt in improve(catches, falls, self.search, self.headings, begin=begin):
             console.print(str(attempt), soft_wrap=True)

@@ -73,7 +73,7 @@ class RecordedFalls:
                 servos=tested.servos,
                 world=self.world,
             )
-        save_bank(path, recording.states)
+        save_bank(path, recording.states, control_dt=tested.env_cfg.base_env.control_dt)
         count = len(recording.states["joint_position"])
         console.print(f"{recording.fell} of {recording.trials} trials fell: {count} states")
 
@@ -83,4 +83,4 @@ class RecordedFalls:
         td = instantiate(self.tested.env_cfg, base_env={"num_envs": count}).reset()
         states = {key: td[key].flatten(1) for key in (*STATE_KEYS, *SEEN_KEYS)}
         rest = dict(zip(PUSH_KEYS, (torch.zeros(count, 3), torch.zeros(count, 1)), strict=True))
-        save_bank(path, states | rest)
+        save_bank(path, states | rest, control_dt=self.tested.env_cfg.base_env.control_dt)
