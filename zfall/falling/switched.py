@@ -23,7 +23,7 @@ SCRIPT = "script"  # in the place of a policy that kneels: the movements alone
 
 
 class SwitchedActor(TensorDictModuleBase):
-    """Acts as one policy in mode RECOVER and as another in the others.
+    """Acts as one policy in mode RECOVER and as another in all other modes.
 
     The memory of ``recover`` begins anew when the robot has got up: it was trained in episodes that
     begin on its feet.
