@@ -21,6 +21,7 @@ from rich.progress import (
 from rich.table import Column, Table
 from rich.text import Text
 
+QUIET = Console(quiet=True)
 NAMES = 24  # characters that the first column keeps where there is little room
 
 

@@ -1,8 +1,11 @@
 """States in the midst of falls: what is recorded, and that falls go on from there."""
 
+import io
+
 import pytest
 import torch
 from hydra.utils import instantiate
+from rich.console import Console
 from torch.testing import assert_close
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -37,8 +40,10 @@ def test_a_policy_that_never_gives_up_has_no_trigger():
 
 def test_times_after_the_end_give_nothing_to_record():
     policy = load_policy("best")
+    shown = Console(file=io.StringIO(), force_terminal=True)
     with pytest.raises(ValueError, match="times must give a state"):
-        record_falls(policy.config.env, policy.actor, times=[5.0], **HARD)
+        record_falls(policy.config.env, policy.actor, times=[5.0], console=shown, **HARD)
+    assert "pushed trials" in shown.file.getvalue()  # the bar
 
 
 @pytest.mark.long

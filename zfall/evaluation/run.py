@@ -26,10 +26,8 @@ from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.plans import plan_trials
 from zfall.evaluation.results import Result, labels, result_of, write_results
 from zfall.policies.load import Policy
-from zfall.terminal import progress_bar
+from zfall.terminal import QUIET, progress_bar
 from zfall.trust import trusting
-
-QUIET = Console(quiet=True)
 
 
 def evaluate(

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from omegaconf import DictConfig
+from rich.console import Console
 from tensordict import TensorDict
 from torch import Tensor
 
 from zfall.arrays import arrays_of
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.errors import check_number
-from zfall.evaluation.battery import play
 from zfall.evaluation.definitions import load_battery
 from zfall.falling.banks import load_bank
 from zfall.falling.files import own_file
@@ -21,6 +21,7 @@ from zfall.falling.modes import STABLE
 from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
 from zfall.robots import Robot
 from zfall.rotations import from_angles, turned
+from zfall.terminal import QUIET
 
 POSTURES = ("back", "belly", "left", "right", "kneel")
 # Where gravity points in axes of the base, by posture; upright is a kneel, or a squat.
@@ -147,6 +148,7 @@ def kneeling_bank(
     *,
     seed: int,
     world: str | None = None,
+    console: Console = QUIET,
 ) -> dict[str, Tensor]:
     """States in which a policy that kneels has come to rest after pushes, mode STABLE.
 
@@ -158,6 +160,7 @@ def kneeling_bank(
         count: of states, at most.
         seed: of the pushes.
         world: battery whose hardware is met, ``twin``; ``None``: that of the env.
+        console: for the progress bar.
 
     Returns:
         As ``load_lying``, all in posture kneel.
@@ -180,8 +183,7 @@ def kneeling_bank(
     )
     worlds = pushed_worlds(battery, env_cfg, seed=seed, control_arm=False)
     trials, seen, parts = len(worlds.trials), None, list[dict[str, Tensor]]()
-    steps = round(battery.end_time / worlds.env.base_env.control_dt)
-    for td in play(worlds.env, actor, steps):
+    for td in worlds.play(actor, battery.end_time, console):
         stable = td["mode"][:trials, STABLE] > 0
         stable &= posture_of(td["projected_gravity"][:trials]) == POSTURES.index("kneel")
         new = stable if seen is None else stable & ~seen

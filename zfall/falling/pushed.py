@@ -1,22 +1,26 @@
 """Trials of a battery, all at once, whose pushes begin in any physics step."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import torch
 from omegaconf import DictConfig
+from rich.console import Console
+from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from zfall.envs.tables import robot_of
 from zfall.envs.worlds import World
-from zfall.evaluation.battery import BLOCK, arrange, battery_env, begin_streams
+from zfall.evaluation.battery import BLOCK, arrange, battery_env, begin_streams, play
 from zfall.evaluation.candidate import Candidate, load_candidate
 from zfall.evaluation.definitions import Battery, load_battery
 from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials
 from zfall.policies import load_policy
+from zfall.terminal import QUIET, progress_bar
 
 PUSH_TIME = 0.52  # [s], whole control steps of 20 and 40 ms; pushes begin somewhere in the last
 
@@ -51,6 +55,22 @@ class PushedWorlds(NamedTuple):
     trials: pd.DataFrame
     rows: np.ndarray
     pushes: Pushes
+
+    def play(
+        self, actor: torch.nn.Module | None, seconds: float, console: Console = QUIET
+    ) -> Iterator[TensorDictBase]:
+        """Runs all trials from their start, with a progress bar, and yields what follows each step.
+
+        Args:
+            actor: the policy; ``None`` for a baseline.
+            seconds: how long.
+            console: for the bar.
+        """
+        steps = round(seconds / self.env.base_env.control_dt)
+        with progress_bar(console) as bar:
+            yield from bar.track(
+                play(self.env, actor, steps), total=steps, description="pushed trials"
+            )
 
 
 def pushed_worlds(

@@ -5,17 +5,18 @@ from typing import NamedTuple
 
 import torch
 from omegaconf import DictConfig
+from rich.console import Console
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.terms.falls import body_contact
 from zfall.errors import check_number
-from zfall.evaluation.battery import play
 from zfall.evaluation.definitions import load_battery
 from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS
 from zfall.falling.modes import KNEEL
 from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
+from zfall.terminal import QUIET
 
 _KEYS = (*STATE_KEYS, *SEEN_KEYS)
 _EPS = 1e-6  # [s]
@@ -48,6 +49,7 @@ def record_falls(
     seed: int = 0,
     servos: bool = True,
     world: str | None = None,
+    console: Console = QUIET,
 ) -> Recording:
     """Pushes a policy from 24 directions and keeps states of its falls.
 
@@ -66,6 +68,7 @@ def record_falls(
         seed: of the trials, and of when in a control step a push begins.
         servos: whether the servos act at all.
         world: battery whose hardware is met, ``twin``; ``None``: that of the env.
+        console: for the progress bar.
 
     Raises:
         ValueError: on numbers that no trial can have, if the env has no modes but ``times`` is
@@ -92,8 +95,7 @@ def record_falls(
     force = torch.from_numpy(worlds.trials["force_n"].to_numpy()[worlds.rows]).float()
     heading = torch.from_numpy(worlds.trials["direction_rad"].to_numpy()[worlds.rows]).float()
     applied = torch.stack([force * heading.cos(), force * heading.sin(), 0.0 * force], -1)
-    steps = round(battery.end_time / base.control_dt)
-    for step, td in enumerate(play(worlds.env, actor, steps), 1):
+    for step, td in enumerate(worlds.play(actor, battery.end_time, console), 1):
         fell |= body_contact(td, td).squeeze(-1)
         since_push = step * base.control_dt - worlds.pushes.time[:, 0].float()  # [s]
         kept = moment.is_now(td, since_push)

@@ -60,19 +60,19 @@ class RecordedFalls:
     def make(self, path: Path, console: Console) -> None:
         """Writes the bank."""
         tested = self.tested
-        with console.status("pushed trials"):
-            recording = record_falls(
-                tested.env_cfg,
-                tested.actor,
-                times=self.times,
-                points=self.points,
-                impulses=self.impulses,
-                starts=self.starts,
-                duration=self.duration,
-                seed=self.seed,
-                servos=tested.servos,
-                world=self.world,
-            )
+        recording = record_falls(
+            tested.env_cfg,
+            tested.actor,
+            times=self.times,
+            points=self.points,
+            impulses=self.impulses,
+            starts=self.starts,
+            duration=self.duration,
+            seed=self.seed,
+            servos=tested.servos,
+            world=self.world,
+            console=console,
+        )
         save_bank(path, recording.states, control_dt=tested.env_cfg.base_env.control_dt)
         count = len(recording.states["joint_position"])
         console.print(f"{recording.fell} of {recording.trials} trials fell: {count} states")

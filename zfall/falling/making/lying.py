@@ -55,10 +55,14 @@ class LyingStates:
     def make(self, path: Path, console: Console) -> None:
         """Writes the bank."""
         tested = self.tested
-        with console.status("pushed trials"):
-            kneels = kneeling_bank(
-                tested.env_cfg, tested.actor, self.count, seed=self.seed, world=self.world
-            )
+        kneels = kneeling_bank(
+            tested.env_cfg,
+            tested.actor,
+            self.count,
+            seed=self.seed,
+            world=self.world,
+            console=console,
+        )
         with console.status("robots that settle"):
             env, limp = (_twin(WORLDS, powered=on) for on in (True, False))
             bank = joined([lying_bank(env, limp, self.count, seed=self.seed), kneels])

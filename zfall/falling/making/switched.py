@@ -9,6 +9,7 @@ from rich.console import Console
 from zfall import checkpoint as checkpoints
 from zfall.falling.fall_network import load_fall_network
 from zfall.falling.switched import SCRIPT, switched_checkpoint
+from zfall.falling.trigger import HOLD
 from zfall.values import Fraction, Name, Positive
 
 _TARGET = "_target_"
@@ -47,7 +48,7 @@ class SwitchedPolicy:
         change: Sequence[Name] = (),
         trigger: Name | None = None,
         probability: Fraction = 0.9,
-        hold: Positive = 0.04,
+        hold: Positive = HOLD,
         catches: Name | None = None,
         rises: Name | None = None,
     ):

@@ -78,17 +78,17 @@ class TrainedTrigger:
         kept = [] if self.world else kept
         env_cfg = keep(trigger.without_trigger(tested.env_cfg), kept)
         torch.manual_seed(self.seed)
-        with console.status("pushed trials"):
-            history, control_dt = trigger.record(
-                env_cfg,
-                tested.actor,
-                measured=self.measured,
-                impulses=self.impulses,
-                starts=self.starts,
-                seed=self.seed,
-                servos=tested.servos,
-                world=self.world,
-            )
+        history, control_dt = trigger.record(
+            env_cfg,
+            tested.actor,
+            measured=self.measured,
+            impulses=self.impulses,
+            starts=self.starts,
+            seed=self.seed,
+            servos=tested.servos,
+            world=self.world,
+            console=console,
+        )
         train, calibration, test = trigger.split(history, torch.randperm(len(history.fell)))
         console.print(f"{len(history.fell)} trials, {int(history.fell.sum())} of them falls")
 

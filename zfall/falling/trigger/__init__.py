@@ -5,11 +5,12 @@ part of them, ``calibrate`` makes its probabilities true on another part, and ``
 on the rest how it does against fixed rules.
 """
 
-from zfall.falling.trigger.comparison import comparison, learned, ruled, table
+from zfall.falling.trigger.comparison import HOLD, comparison, learned, ruled, table
 from zfall.falling.trigger.history import History, labels, record, split, without_trigger
 from zfall.falling.trigger.training import calibrate, fit, probabilities
 
 __all__ = [
+    "HOLD",
     "History",
     "calibrate",
     "comparison",

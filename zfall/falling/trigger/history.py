@@ -5,15 +5,16 @@ from typing import NamedTuple
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
 from torch import Tensor
 
 from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.evaluation.baselines import passive
-from zfall.evaluation.battery import play
 from zfall.evaluation.definitions import load_battery
 from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
 from zfall.rotations import tilt
+from zfall.terminal import QUIET
 
 
 class History(NamedTuple):
@@ -59,6 +60,7 @@ def record(
     seed: int = 0,
     servos: bool = True,
     world: str | None = None,
+    console: Console = QUIET,
 ) -> tuple[History, float]:
     """Pushes a policy from 24 directions, and runs as many trials without a push as of one size.
 
@@ -71,6 +73,7 @@ def record(
         seed: of the trials, of noise and delays, and of when in a control step a push begins.
         servos: whether the servos act at all.
         world: battery whose hardware is met, ``twin``; ``None``: that of the env.
+        console: for the progress bar.
 
     Returns:
         The trials, and the control step [s].
@@ -91,7 +94,7 @@ def record(
     base, count = worlds.env.base_env, len(worlds.trials)
     steps: list[list[Tensor]] = []
     live = torch.ones(base.num_envs, dtype=torch.bool)
-    for td in play(worlds.env, actor, round(battery.end_time / base.control_dt)):
+    for td in worlds.play(actor, battery.end_time, console):
         live = live & ~(body_contact(td, td) | td["diverged"]).squeeze(-1)
         missing = [str(key) for key in measured if td.get(key, None) is None]
         if missing:
