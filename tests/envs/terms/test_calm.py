@@ -99,6 +99,17 @@ def test_the_pose_to_rest_in_is_the_standing_pose_and_its_offsets():
     assert rest(BEFORE, after, offsets=offsets).item() == pytest.approx(math.exp(-1))
     with pytest.raises(ValueError, match="offsets must name joints of zeroth01, got knee"):
         rest(BEFORE, after, offsets={"knee": 0.1})
+    with pytest.raises(ValueError, match="joints must name joints of zeroth01, got knee"):
+        rest(BEFORE, after, joints=["knee"])
+
+
+def test_a_pose_to_rest_in_may_be_one_of_some_joints():
+    after = standing()
+    after["joint_position"] = torch.tensor([ZEROTH01.stand_position], dtype=torch.float32)
+    after["joint_position"][:, 3] += 0.3
+    after["joint_position"][:, 5:] += 9.0  # which does not count
+    rest = partial(rest_posture, robot=ZEROTH01, reach=0.04, sigma=0.2, joints=ZEROTH01.joints[3:5])
+    assert rest(BEFORE, after).item() == pytest.approx(math.exp(-(0.3**2) / 2 / 0.2**2))
 
 
 def test_actions_count_by_their_change_in_an_env_as_well(make_task):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from zfall.envs.terms.balance import capture_point
 from zfall.robots import Robot
-from zfall.values import Name, Positive
+from zfall.values import Name, Names, Positive
 
 
 def at_rest(td: TensorDictBase, next_td: TensorDictBase, *, reach: Positive) -> Tensor:
@@ -93,6 +93,7 @@ def rest_posture(
     reach: Positive,
     sigma: Positive,
     offsets: Mapping[str, float] | None = None,
+    joints: Names | None = None,
 ) -> Tensor:
     """High in a pose to rest in: ``at_rest exp(-mean((q - q0 - offset)^2) / sigma^2)``.
 
@@ -106,18 +107,21 @@ def rest_posture(
         reach: of the capture point, see ``at_rest``.
         sigma: root mean square over joints at which it has fallen to 1/e.
         offsets: of the pose from q0, by joint [rad]; joints that are not named have none.
+        joints: over which the mean is; ``None``: all.
 
     Raises:
         ValueError: if the robot has no such joint.
     """
-    offsets = offsets or {}
-    for name in offsets:
-        if name not in robot.joints:
-            raise ValueError(f"offsets must name joints of {robot.name}, got {name}.")
+    offsets, counted = offsets or {}, robot.joints if joints is None else joints
+    for argument, names in {"offsets": offsets, "joints": counted}.items():
+        for name in names:
+            if name not in robot.joints:
+                raise ValueError(f"{argument} must name joints of {robot.name}, got {name}.")
     position = next_td["joint_position"]
     pose = position.new_tensor(robot.stand_position)
     pose = pose + position.new_tensor([offsets.get(name, 0.0) for name in robot.joints])
-    return _calm(position - pose, sigma) * at_rest(td, next_td, reach=reach)
+    away = (position - pose)[..., [robot.joints.index(name) for name in counted]]
+    return _calm(away, sigma) * at_rest(td, next_td, reach=reach)
 
 
 def _calm(value: Tensor, sigma: float) -> Tensor:
