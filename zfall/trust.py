@@ -58,6 +58,7 @@ ALLOWED = (
     "zfall.robots",
     "zfall.training.optimizers.KLProportionalLR",
     "zfall.training.optimizers.MuonAndAdam",
+    "zfall.training.shifted_pose.ShiftedPose",
     "torchrl.objectives.KLAdaptiveLR",
     *(f"torch.optim.{name}" for name in _OPTIMIZERS),
     *(f"torch.optim.lr_scheduler.{name}" for name in _SCHEDULERS),

@@ -54,6 +54,26 @@ def test_loads_of_a_constant_torque_and_speed():
     assert table["peak_servo_temperature"].isnan().all()  # no thermal constants are published
 
 
+def test_the_last_three_seconds_count_by_themselves():
+    """Two seconds at 2 N m and 3.2 at 0.5: over the rating of 1.25 N m the last 3 s are 0.4."""
+    rest, knee = Rest(make(LEGS)), ZEROTH01.joints.index("left_knee_pitch")
+    lifted = torch.tensor([[False, True]])
+    for step in range(130):
+        torque, place = torch.zeros(1, 20), torch.zeros(1, 2, 3)
+        torque[0, knee] = 2.0 if step < 50 else 0.5
+        place[0, 0, 0] = 0.1 if step > 4 else 0.0  # a step at its begin
+        stands = lifted if step == 4 else torch.ones(1, 2, dtype=torch.bool)
+        td = record(joint_torque=torque, feet_contact=stands, feet_position=place)
+        (rest.before if step == 0 else rest.update)(td, moment([True]))
+    table = rest.table(ended([False]))
+    assert table["settled_load"].item() == pytest.approx(0.4)
+    assert table["settled_load/left_knee_pitch"].item() == pytest.approx(0.4)
+    mean = (50 * 2.0**2 + 80 * 0.5**2) / 130
+    assert table["rest_load"].item() == pytest.approx(mean**0.5 / 1.25, rel=1e-5)
+    assert (table["rest_steps"].item(), table["settled_steps"].item()) == (1, 0)
+    assert rest.table(ended([True]))["settled_load"].isnan().all()
+
+
 def test_a_servo_without_a_rating_has_no_load():
     table = Rest(make(LEGS | {"left_elbow_roll": STS3215}))
     table.before(record(), moment([True], -1.0))

@@ -14,11 +14,13 @@ from zfall.evaluation.metrics import spectral_smoothness
 from zfall.evaluation.strategies import Footsteps
 from zfall.robots.servos import Servo
 
+SETTLED = 3.0  # end of a trial in which a robot stands that went to a pose of its own [s]
 STOOD = 600.0  # time for which the load lasts, for the temperature [s]
 _THERMAL = ("thermal_resistance", "thermal_time_constant", "stall_current", "friction")
 FIGURES = (
     *("rest_steps", "rest_torque_rms", "rest_load", "rest_at_limit", "rest_joint_speed"),
     *("rest_target_smoothness", "peak_servo_temperature"),
+    *("settled_steps", "settled_load"),
 )
 
 
@@ -32,6 +34,9 @@ class Rest:
     share of torques ``at_their_limit``.
     ``rest_joint_speed`` [rad/s]: root mean square. ``rest_target_smoothness`` [rad]:
     ``spectral_smoothness`` of the joint targets; NaN if the robot fell.
+    ``settled_steps``, ``settled_load`` and ``settled_load/JOINT``: the same over the last
+    ``SETTLED`` seconds alone. A trial begins in the robot's reference pose, and going from there to
+    another one takes more torque than standing in it; NaN if the robot fell.
     ``peak_servo_temperature`` [degree Celsius]: of the warmest winding after ten minutes of this
     load, from 25 degrees; NaN where a servo's thermal constants are not published.
 
@@ -52,6 +57,8 @@ class Rest:
         self.pushed = torch.zeros(n, dtype=torch.bool)
         self._feet = Footsteps(env)
         self._targets: list[Tensor] = []
+        self._torques: list[Tensor] = []  # squares
+        self._steps: list[Tensor] = []
 
     def before(self, td: TensorDictBase, now: Moment) -> None:
         """Takes in a control step."""
@@ -62,34 +69,54 @@ class Rest:
         share, torque = now.upto_fall.float(), td["joint_torque"]
         self.pushed |= (td["push", "force"] != 0).any(-1) & now.counted
         self.time += share
-        self.torque += share[:, None] * torque.square()
+        square, steps = share[:, None] * torque.square(), share * self._feet.update(td).sum(-1)
+        self.torque += square
         self.limited += share * at_their_limit(self.env, torque).float().mean(-1)
         self.speed += share * td["joint_velocity"].square().mean(-1)
-        self.steps += share * self._feet.update(td).sum(-1)
+        self.steps += steps
         self._targets.append(td["target"].clone())
+        self._torques.append(square)
+        self._steps.append(steps)
 
     def table(self, ended: Ended) -> dict[str, Tensor]:
         """Columns ``(N,)``."""
         torque = (self.torque / self.time[:, None]).sqrt()
         smooth = spectral_smoothness(torch.stack(self._targets, 1), self.dt)
-        loads = {
-            joint: torque[:, place] / servo.continuous_torque
-            for place, (joint, servo) in enumerate(zip(self.joints, self.servos, strict=True))
-            if servo is not None and servo.continuous_torque
+        last = round(SETTLED / self.dt)
+        loads = self._loads(torque)
+        late = self._loads(torch.stack(self._torques[-last:]).mean(0).sqrt())
+        settled = {
+            "settled_steps": torch.stack(self._steps[-last:]).sum(0),
+            "settled_load": self._largest(late),
+            **{f"settled_load/{joint}": load for joint, load in late.items()},
         }
-        nothing = torch.full_like(self.time, torch.nan)
         columns = {
             "rest_steps": self.steps,
             "rest_torque_rms": torque.square().mean(-1).sqrt(),
-            "rest_load": torch.stack(list(loads.values())).amax(0) if loads else nothing,
+            "rest_load": self._largest(loads),
             "rest_at_limit": self.limited / self.time,
             "rest_joint_speed": (self.speed / self.time).sqrt(),
             "rest_target_smoothness": torch.where(ended.fell, torch.nan, smooth),
             "peak_servo_temperature": self._warmest(torque),
             **{f"rest_torque_rms/{joint}": torque[:, i] for i, joint in enumerate(self.joints)},
             **{f"rest_load/{joint}": load for joint, load in loads.items()},
+            **{name: torch.where(ended.fell, torch.nan, x) for name, x in settled.items()},
         }
         return {name: torch.where(self.pushed, torch.nan, x) for name, x in columns.items()}
+
+    def _loads(self, torque: Tensor) -> dict[str, Tensor]:
+        """Torques ``(N, J)`` over the ratings of the servos that have one, by joint."""
+        return {
+            joint: torque[:, place] / servo.continuous_torque
+            for place, (joint, servo) in enumerate(zip(self.joints, self.servos, strict=True))
+            if servo is not None and servo.continuous_torque
+        }
+
+    def _largest(self, loads: dict[str, Tensor]) -> Tensor:
+        """The largest load of each trial ``(N,)``, NaN without any."""
+        if not loads:
+            return torch.full_like(self.time, torch.nan)
+        return torch.stack(list(loads.values())).amax(0)
 
     def _warmest(self, torque: Tensor) -> Tensor:
         """Largest temperature of a winding ``(N,)`` under torques ``(N, J)``, NaN if unknown."""
@@ -116,13 +143,14 @@ class Rest:
                 "largest": float(control[name].max()),
             }
             for name in FIGURES
+            if name in control  # trials of before have no settled ones
         ]
         means = {str(row["figure"]): row["mean"] for row in rows}
         return {**means, "rest": pd.DataFrame(rows), "rest_servos": _of_servos(control)}
 
 
 def _of_servos(control: pd.DataFrame) -> pd.DataFrame:
-    """One row per joint: root mean square torque [N m], and its share of the rating."""
+    """One row per joint: root mean square torque [N m], its share of the rating, at last, too."""
     prefix = "rest_torque_rms/"
     names = [str(name).removeprefix(prefix) for name in control if str(name).startswith(prefix)]
 
@@ -136,5 +164,6 @@ def _of_servos(control: pd.DataFrame) -> pd.DataFrame:
             "joint": names,
             "torque_rms": [over_trials(prefix + name) for name in names],
             "load": [over_trials(f"rest_load/{name}") for name in names],
+            "settled_load": [over_trials(f"settled_load/{name}") for name in names],
         }
     )

@@ -80,6 +80,11 @@ class GaussianHead(nn.Module):
             log_std = log_std + self.deviation(features)
         return loc, _Bounded.apply(log_std.exp(), self.min_std, self.max_std).expand_as(loc)
 
+    @torch.no_grad()
+    def move_mean(self, offset: Tensor) -> None:
+        """Adds ``(J,)`` to the mean, whatever the features."""
+        self.mean.bias.add_(offset)
+
 
 class MixtureHead(nn.Module):
     """Three numbers per component and joint: mean, raw standard deviation, logit.
@@ -126,6 +131,11 @@ class MixtureHead(nn.Module):
         scale = nn.functional.softplus(raw) + self.min_std
         scale = _Bounded.apply(scale, self.min_std, self.max_std)
         return logits, loc, scale
+
+    @torch.no_grad()
+    def move_mean(self, offset: Tensor) -> None:
+        """Adds ``(J,)`` to the mean of every component, whatever the features."""
+        self.linear.bias.view(self.shape)[0].add_(offset[:, None])
 
 
 class SharedMixtureHead(nn.Module):
@@ -177,6 +187,11 @@ class SharedMixtureHead(nn.Module):
         scale = nn.functional.softplus(raw) + self.min_std
         scale = _Bounded.apply(scale, self.min_std, self.max_std)
         return self.logits(features), loc, scale
+
+    @torch.no_grad()
+    def move_mean(self, offset: Tensor) -> None:
+        """Adds ``(J,)`` to the mean of every component, whatever the features."""
+        self.linear.bias.view(self.shape)[0].add_(offset)
 
 
 Head = GaussianHead | MixtureHead | SharedMixtureHead
