@@ -80,12 +80,19 @@ def test_falls_are_compared_over_the_pushes_after_which_all_fell():
         **{"peak_base_acceleration": 2 * one["peak_base_acceleration"], "peak_joint_torque": 1.0},
     )
     still = one.assign(peak_joint_torque=0.0)
+    soft = one.assign(**{f"peak_contact_force/{name}": 0.0 for name in ("torso", "head")})
+    soft.loc[[5], "peak_contact_force/head"] = 1.0  # one of its falls
     table = compare_falls({"one": one, "two": two}).set_index("run")
     assert table["falls"].tolist() == [30, 30]
     assert table["peak_base_acceleration"].tolist() == [40.0, 80.0]
     assert table["peak_torso_head_force"].tolist() == pytest.approx([170 / 3] * 2)
+    assert table["torso_head_touched"].tolist() == [1.0, 1.0]
     for end in ("low", "high"):  # of every sample of pairs it is the same
         assert table[f"peak_base_acceleration_ratio_{end}"].tolist() == pytest.approx([1.0, 0.5])
         assert table[f"peak_joint_torque_ratio_{end}"].tolist() == pytest.approx([1.0, 2.0])
     compared = compare_falls({"one": one, "still": still}).set_index("run")
     assert np.isnan(compared["peak_joint_torque_ratio_low"]["still"])  # nothing to divide by
+    compared = compare_falls({"soft": soft, "one": one}).set_index("run")
+    assert compared["torso_head_touched"].tolist() == pytest.approx([1 / 41, 31 / 41])
+    low, high = (compared[f"torso_head_touched_ratio_{end}"]["one"] for end in ("low", "high"))
+    assert low < 1 / 31 < high  # one fall of 41, where the other has 31

@@ -96,17 +96,22 @@ def _outcomes(trials: pd.DataFrame) -> dict[str, Any]:
 
 
 def compare_falls(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Peaks of several policies over the pushes of the grid after which, not before, all fell.
+    """Falls of several policies after the pushes of the grid after which, not before, all fell.
 
     Returns:
-        One row per name: ``falls``, and of each of ``PEAKS`` its mean and the bootstrap 95 %
+        One row per name: ``falls``, and of each of ``PEAKS`` and of ``torso_head_touched``, the
+        share of falls in which torso or head touched the floor, its mean and the bootstrap 95 %
         interval over those pushes of the first run's mean divided by it, if there are ten.
     """
     grid = next(iter(runs.values()))
     fell = (grid["impulse"] > 0) & ~grid["listed"]
     for trials in runs.values():
         fell &= ~trials["recovered"] & ~_fell_before(trials)
-    peaks = {name: peaks_of(trials[fell]) for name, trials in runs.items()}
+    peaks = {
+        name: peaks_of(trials[fell])
+        | {"torso_head_touched": torso_or_head(trials[fell]).astype(float)}
+        for name, trials in runs.items()
+    }
     first, *_ = peaks.values()
     rows = []
     for name, own in peaks.items():
