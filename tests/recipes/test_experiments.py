@@ -147,7 +147,10 @@ def test_the_twin_begins_with_all_that_twin_fast_learns(compose_config):
 
 @pytest.mark.parametrize(
     ("name", "teacher", "alone"),
-    [("twin", "stage:edge", ["alone", "ramps"]), ("twin_gru_mog", "twin_fast", ["alone", "quick"])],
+    [
+        ("twin", "stage:straighter", ["alone", "ramps"]),
+        ("twin_gru_mog", "twin_fast", ["alone", "quick"]),
+    ],
 )
 def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(
     name, teacher, alone, compose_config
@@ -175,7 +178,7 @@ def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(
 
 
 def test_ramps_of_the_servos_come_once_a_policy_goes_on_alone(compose_config):
-    """In training alone, by rollouts of 0.64 s; a pose to rest in is asked for in one stage."""
+    """In training alone, by rollouts of 0.64 s."""
     ramps = {}
     for name in ("twin", "twin_gru_mog"):
         for stage in stages_of(compose_config(f"experiment={name}")):
@@ -184,13 +187,26 @@ def test_ramps_of_the_servos_come_once_a_policy_goes_on_alone(compose_config):
             if planner is not None:
                 ramps[name, stage.name] = planner.acceleration
                 assert stage.config.rollout_steps == 32
-            posed = "rest" in stage.config.env.transforms.reward.terms
-            assert posed == ((name, stage.name) == ("twin_gru_mog", "alone"))
     assert ramps == {
         ("twin", "ramps"): [30.0, 150.0],
         ("twin_gru_mog", "alone"): [30.0, 150.0],
         ("twin_gru_mog", "quick"): [30.0, 600.0],
     }
+
+
+def test_the_memory_in_the_twin_is_taught_in_the_pose_in_which_it_is_to_rest(compose_config):
+    """The stage before moves edge by the offsets that the reward asks for from then on."""
+    stages = stages_of(compose_config("experiment=twin"))
+    names = [stage.name for stage in stages]
+    moved = names.index("straighter")
+    assert names[moved - 1 :] == ["edge", "straighter", "taught", "alone", "ramps"]
+    assert stages[moved].make["run"] == "stage:edge"
+    for stage in stages:
+        terms = stage.config.env.transforms.reward.terms
+        assert ("rest" in terms) == (stage.number > moved + 1), stage.name
+        if "rest" in terms:
+            assert terms.rest[1].offsets == stages[moved].make["offsets"]
+            assert set(terms.rest[1].joints) == set(terms.rest[1].offsets)
 
 
 def test_what_has_to_remember_is_shown_neither_joint_speeds_nor_its_targets(compose_config):
