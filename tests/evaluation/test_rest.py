@@ -55,22 +55,23 @@ def test_loads_of_a_constant_torque_and_speed():
 
 
 def test_the_last_three_seconds_count_by_themselves():
-    """Two seconds at 2 N m and 3.2 at 0.5: over the rating of 1.25 N m the last 3 s are 0.4."""
+    """Of 75 control steps the first still carries 2 N m, the others 0.5, over a rating of 1.25."""
     rest, knee = Rest(make(LEGS)), ZEROTH01.joints.index("left_knee_pitch")
     lifted = torch.tensor([[False, True]])
     for step in range(130):
         torque, place = torch.zeros(1, 20), torch.zeros(1, 2, 3)
-        torque[0, knee] = 2.0 if step < 50 else 0.5
-        place[0, 0, 0] = 0.1 if step > 4 else 0.0  # a step at its begin
-        stands = lifted if step == 4 else torch.ones(1, 2, dtype=torch.bool)
+        torque[0, knee] = 2.0 if step < 56 else 0.5
+        place[0, 0, 0] = 0.1 * ((step > 4) + (step > 90))  # two steps
+        stands = lifted if step in (4, 90) else torch.ones(1, 2, dtype=torch.bool)
         td = record(joint_torque=torque, feet_contact=stands, feet_position=place)
         (rest.before if step == 0 else rest.update)(td, moment([True]))
     table = rest.table(ended([False]))
-    assert table["settled_load"].item() == pytest.approx(0.4)
-    assert table["settled_load/left_knee_pitch"].item() == pytest.approx(0.4)
-    mean = (50 * 2.0**2 + 80 * 0.5**2) / 130
+    settled = ((2.0**2 + 74 * 0.5**2) / 75) ** 0.5 / 1.25
+    assert table["settled_load"].item() == pytest.approx(settled)
+    assert table["settled_load/left_knee_pitch"].item() == pytest.approx(settled)
+    mean = (56 * 2.0**2 + 74 * 0.5**2) / 130
     assert table["rest_load"].item() == pytest.approx(mean**0.5 / 1.25, rel=1e-5)
-    assert (table["rest_steps"].item(), table["settled_steps"].item()) == (1, 0)
+    assert (table["rest_steps"].item(), table["settled_steps"].item()) == (2, 1)
     assert rest.table(ended([True]))["settled_load"].isnan().all()
 
 

@@ -14,7 +14,7 @@ from zfall.evaluation.metrics import spectral_smoothness
 from zfall.evaluation.strategies import Footsteps
 from zfall.robots.servos import Servo
 
-SETTLED = 3.0  # end of a trial in which a robot stands that went to a pose of its own [s]
+SETTLED = 3.0  # length of the end of a trial, by which a robot stands in its own pose [s]
 STOOD = 600.0  # time for which the load lasts, for the temperature [s]
 _THERMAL = ("thermal_resistance", "thermal_time_constant", "stall_current", "friction")
 FIGURES = (
@@ -143,14 +143,14 @@ class Rest:
                 "largest": float(control[name].max()),
             }
             for name in FIGURES
-            if name in control  # trials of before have no settled ones
+            if name in control or not name.startswith("settled")  # which older trials lack
         ]
         means = {str(row["figure"]): row["mean"] for row in rows}
         return {**means, "rest": pd.DataFrame(rows), "rest_servos": _of_servos(control)}
 
 
 def _of_servos(control: pd.DataFrame) -> pd.DataFrame:
-    """One row per joint: root mean square torque [N m], its share of the rating, at last, too."""
+    """One row per joint: root mean square torque [N m]; over the rating; that of the last 3 s."""
     prefix = "rest_torque_rms/"
     names = [str(name).removeprefix(prefix) for name in control if str(name).startswith(prefix)]
 

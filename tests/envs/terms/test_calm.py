@@ -101,6 +101,8 @@ def test_the_pose_to_rest_in_is_the_standing_pose_and_its_offsets():
         rest(BEFORE, after, offsets={"knee": 0.1})
     with pytest.raises(ValueError, match="joints must name joints of zeroth01, got knee"):
         rest(BEFORE, after, joints=["knee"])
+    with pytest.raises(ValueError, match="offsets must be of joints that count, left_knee_pitch"):
+        rest(BEFORE, after, joints=["left_hip_pitch"], offsets={"left_knee_pitch": 0.1})
 
 
 def test_a_pose_to_rest_in_may_be_one_of_some_joints():

@@ -110,17 +110,22 @@ def rest_posture(
         joints: over which the mean is; ``None``: all.
 
     Raises:
-        ValueError: if the robot has no such joint.
+        ValueError: if the robot has no such joint, or one with an offset does not count.
     """
-    offsets, counted = offsets or {}, robot.joints if joints is None else joints
-    for argument, names in {"offsets": offsets, "joints": counted}.items():
+    offsets = offsets or {}
+    for argument, names in {"offsets": offsets, "joints": joints or ()}.items():
         for name in names:
             if name not in robot.joints:
                 raise ValueError(f"{argument} must name joints of {robot.name}, got {name}.")
+    for name in offsets if joints else ():
+        if name not in (joints or ()):
+            raise ValueError(f"offsets must be of joints that count, {name} is none of joints.")
     position = next_td["joint_position"]
     pose = position.new_tensor(robot.stand_position)
     pose = pose + position.new_tensor([offsets.get(name, 0.0) for name in robot.joints])
-    away = (position - pose)[..., [robot.joints.index(name) for name in counted]]
+    away = position - pose
+    if joints is not None:
+        away = away[..., [robot.joints.index(name) for name in joints]]
     return _calm(away, sigma) * at_rest(td, next_td, reach=reach)
 
 

@@ -92,13 +92,12 @@ def record(
     )
     worlds = pushed_worlds(battery, env_cfg, seed=seed, servos=servos)
     base, count = worlds.env.base_env, len(worlds.trials)
+    if missing := [key for key in measured if key not in worlds.env.observation_spec.keys()]:
+        raise ValueError(f"measured must name keys of the env, got {missing[0]}.")
     steps: list[list[Tensor]] = []
     live = torch.ones(base.num_envs, dtype=torch.bool)
     for td in worlds.play(actor, battery.end_time, console):
         live = live & ~(body_contact(td, td) | td["diverged"]).squeeze(-1)
-        missing = [str(key) for key in measured if td.get(key, None) is None]
-        if missing:
-            raise ValueError(f"measured must name keys of the env, got {missing[0]}.")
         seen = torch.cat([read_measured(td, key).flatten(1) for key in measured], -1)
         rate = td["base_angular_velocity"].norm(dim=-1)
         steps.append([seen, tilt(td["base_orientation"]), rate, live])
