@@ -15,7 +15,7 @@ def arrays_of(path: Path, rule: str) -> Iterator[Mapping[str, NDArray[Any]]]:
 
     Args:
         path: of the file.
-        rule: what it must be, for messages: ``catches must be a file that ... wrote``.
+        rule: what it must be, for messages: ``bank must be a file that ... wrote``.
 
     Raises:
         ValueError: if there is no such file, it is damaged or of another kind, or what is done

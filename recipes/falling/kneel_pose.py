@@ -24,13 +24,14 @@ def main() -> None:
     from rich.console import Console
 
     from zfall.envs.humanoid import HumanoidEnv
+    from zfall.falling.kneels import kneels_of
     from zfall.falling.poses import search_poses
     from zfall.terminal import print_sheet
 
     console, generator = Console(), np.random.default_rng(0)
     env = HumanoidEnv(num_envs=512, control_dt=0.04, physics_dt=0.004)
     copies = HumanoidEnv(num_envs=32, control_dt=0.04, physics_dt=0.004)
-    for kind, search in env.robot.kneel_searches.items():
+    for kind, search in kneels_of(env.robot).searches.items():
         found = search_poses(env, copies, kind, DRAWS, generator)
         tried = DRAWS * env.num_envs
         title = f"{kind}: {len(found)} of {tried} rest"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from zfall.falling.kneels import kneels_of
 from zfall.falling.poses import draw, search_poses, settle
 from zfall.robots import ZEROTH01
 from zfall.rotations import tilt
@@ -10,7 +11,7 @@ from zfall.rotations import tilt
 JOINTS = ZEROTH01.joints
 
 
-@pytest.mark.parametrize("kind", ZEROTH01.kneel_searches)
+@pytest.mark.parametrize("kind", kneels_of(ZEROTH01).searches)
 def test_drawn_poses_lie_within_the_joint_ranges_and_their_own(make_base, kind):
     angles, lean = draw(ZEROTH01, kind, 200, np.random.default_rng(0))
     low, high = make_base(num_envs=1).joint_range.numpy().T

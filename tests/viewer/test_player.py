@@ -34,6 +34,18 @@ def momentum(one):
     return one.seen["linear_momentum"][0]
 
 
+def test_modes_have_the_names_of_the_transform_that_switches_them():
+    assert player("pose_hold").mode(0) is None
+    kneels = player("kneel", 2)
+    assert kneels.mode(0) == "recover"
+    kneels.push(torch.tensor([False, True]), "torso", torch.tensor([10.0, 0.0, 0.0]), 0.1)
+    for _ in range(10):
+        kneels.step()
+    assert [kneels.mode(world) for world in (0, 1)] == ["recover", "kneel"]
+    kneels.seen["mode"] = torch.tensor([[0, 0, 0, 1], [0, 0, 0, 1]])  # as with a way to get up
+    assert kneels.mode(0) == "rise"
+
+
 def test_only_the_worlds_that_are_meant_are_pushed():
     still = player("pose_hold", 2)
     still.push(torch.tensor([False, True]), "torso", torch.tensor([0.0, 24.6, 0.0]), 0.1)

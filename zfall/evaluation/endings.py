@@ -17,7 +17,7 @@ class Endings:
     """Follows step by step how the worlds end.
 
     A world is down as soon as a region but the feet touches the floor. Whether that was meant is
-    for the outcomes of the followers to say, as ``kneeled`` of a battery's ``measures`` does.
+    for the outcomes of the followers to say, those of a battery's ``measures``.
 
     Args:
         env: the base env.

@@ -30,7 +30,7 @@ class Played:
     Attributes:
         figures: ``worlds``; ``fell``, in how many of them a region but the feet touched the floor;
             ``ended``, in how many the task ended without that; by the names of the followers'
-            outcomes, how many end so, as ``kneeled``; ``seconds``, mean time to either;
+            outcomes, how many end so; ``seconds``, mean time to either;
             ``forward_velocity`` [m/s], mean over that time of the base's velocity along the way
             the robot faces; ``distance`` [m], mean from begin to end of it, on the level.
         states: positions of the first worlds ``(T, filmed, nq)``, in MuJoCo's order.

@@ -41,6 +41,7 @@ The hooks of the general code that it uses:
 - ``("start", NAME)`` for a state to begin in, ``("push", "wrench")`` for forces
   (``zfall.envs.humanoid.HumanoidEnv``);
 - ``reads_files`` on a class: which files decide what it does (``zfall.fingerprints``);
+- ``mode_names`` on a transform: what the numbers of ``mode`` are called (``zfall.viewer``);
 - ``Robot.postures``: named poses of a robot (``zfall.robots``);
 - ``kind`` and ``measures`` of a battery's yaml (``zfall.evaluation.kinds``), ``_target_`` of a
   baseline's (``zfall.evaluation.baselines``), ``tested_with`` of a study's (``zfall.studies``);

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zfall.envs.humanoid import HumanoidEnv
+from zfall.falling.kneels import kneels_of
 from zfall.falling.terms import resting_kneel, touching
 from zfall.robots import Robot
 from zfall.rotations import tilt
@@ -52,7 +53,7 @@ def search_poses(
     Args:
         env: in whose worlds the poses are tried.
         copies: in whose worlds each is tried again, with noise.
-        kind: one of the robot's ``kneel_searches``.
+        kind: one of the robot's ``searches``, see ``zfall.falling.kneels``.
         draws: batches of poses, each of as many as ``env`` has worlds.
         generator: of poses and noise.
     """
@@ -79,7 +80,7 @@ def draw(
     robot: Robot, kind: str, count: int, generator: np.random.Generator
 ) -> tuple[Array, Array]:
     """Joint angles ``(count, J)`` and leans ``(count,)`` of poses of a kind [rad]."""
-    joints, search = robot.joints, robot.kneel_searches[kind]
+    joints, search = robot.joints, kneels_of(robot).searches[kind]
     angles = np.tile(np.array(robot.stand_position), (count, 1))
     for joint, (low, high) in search.ranges.items():
         angles[:, joints.index(joint)] = generator.uniform(low, high, count)

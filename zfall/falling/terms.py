@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from zfall.envs.terms.falls import body_contact
+from zfall.falling.kneels import kneels_of
 from zfall.robots import GRAVITY, Robot
 from zfall.rotations import tilt
 from zfall.values import (
@@ -70,7 +71,7 @@ def resting_kneel(
     speed: float = 0.1,
     joint_speed: float = 0.1,
 ) -> Tensor:
-    """Whether the robot rests on its ``kneel_regions``, torso and head off the floor, upright.
+    """Whether the robot rests on its knees, torso and head off the floor, upright.
 
     It rests if the base is slower than ``speed`` [m/s and rad/s] and all joints are slower than
     ``joint_speed`` [rad/s], and is upright if it leans by less than ``angle`` [rad]. A stable kneel
@@ -81,7 +82,7 @@ def resting_kneel(
     """
     slow = _slow(next_td, speed, joint_speed)
     upright = tilt(next_td["base_orientation"]) < angle
-    down = touching(next_td, robot, *robot.kneel_regions)
+    down = touching(next_td, robot, *kneels_of(robot).regions)
     off = ~touching(next_td, robot, "torso", "head")
     return (slow & upright)[..., None] & down & off
 

@@ -3,11 +3,10 @@
 from zfall.robots.ball import Ball
 from zfall.robots.completion import bare_model, full_spec
 from zfall.robots.contact import Contact
-from zfall.robots.kneels import KneelSearch
 from zfall.robots.robot import GRAVITY, PushPoint, Robot
 from zfall.robots.zeroth01 import ZEROTH01
 
 DEFAULT = ZEROTH01  # what an env has that names no robot
 
-__all__ = ["DEFAULT", "GRAVITY", "ZEROTH01", "Ball", "Contact", "KneelSearch", "PushPoint", "Robot",
+__all__ = ["DEFAULT", "GRAVITY", "ZEROTH01", "Ball", "Contact", "PushPoint", "Robot",
            "bare_model", "full_spec"]  # fmt: skip

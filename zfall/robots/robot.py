@@ -8,7 +8,6 @@ from typing import Any
 from zfall.robots.actuators import Stiffness
 from zfall.robots.completion import CORNERS, Additions
 from zfall.robots.derivation import Derived, derive
-from zfall.robots.kneels import KneelSearch
 from zfall.robots.mjcf import find_mjcf, read_spec
 from zfall.robots.points import PushPoint
 from zfall.robots.refusals import GRAVITY, check_postures
@@ -63,8 +62,6 @@ class Robot:
             without a policy, and ``com_height`` is that of the pose itself.
         postures: other poses by name, each like ``stand``: joints that are not at zero [rad].
             What needs one names it, see ``posture``.
-        kneel_regions: parts on which the robot may come to rest on its knees, without the side.
-        kneel_searches: by name, where ``recipes.falling.kneel_pose`` looks for such poses.
         gaits: by name, values of ``zfall.motions.gaits.Gait``, in place of those that suit its
             height.
         look: path of an MJCF of what the robot looks like, see ``zfall.simulation.look``; its
@@ -96,8 +93,6 @@ class Robot:
     stiffness: Stiffness = None
     held: bool = True
     postures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    kneel_regions: tuple[str, ...] = ("knee", "shin")
-    kneel_searches: Mapping[str, KneelSearch] = field(default_factory=dict)
     gaits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     look: str | None = None
 

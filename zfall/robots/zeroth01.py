@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from zfall.robots.kneels import KneelSearch
 from zfall.robots.points import PushPoint
 from zfall.robots.robot import Robot
 
@@ -25,26 +24,6 @@ def _other_side(joint: str) -> str:
 
 _KEEPS_SIGN = ("hip_pitch", "knee_pitch", "ankle_pitch")
 _HEIGHT = 0.220  # of the center of mass [m]
-
-# Uniform ranges of the leg joints [rad]: of the front (left) and the rear leg, or both the same.
-_FRONT = {"hip_pitch": (-1.57, -0.8), "knee_pitch": (-1.2, -0.2), "ankle_pitch": (-0.5, 0.3)}
-_REAR = {"hip_pitch": (0.2, 0.87), "knee_pitch": (-1.39, -0.6), "ankle_pitch": (-0.6, 0.6)}
-_BOTH = {"hip_pitch": (0.2, 0.87), "knee_pitch": (-1.39, -0.9), "ankle_pitch": (-0.6, 0.69)}
-
-
-def _kneels(
-    left: dict[str, tuple[float, float]], right: dict[str, tuple[float, float]]
-) -> KneelSearch:
-    legs = [(side, joint) for side in ("right", "left") for joint in _BOTH]
-    return KneelSearch(
-        ranges={f"left_{j}": v for j, v in left.items()}
-        | {f"right_{j}": v for j, v in right.items()},
-        zero=("left_ankle_roll", "right_ankle_roll"),
-        same={f"right_{joint}": f"left_{joint}" for joint in _BOTH} if left is right else {},
-        spread=("left_hip_roll", "right_hip_roll"),
-        shown=(*(f"{side}_{joint}" for side, joint in legs), "left_hip_roll"),
-    )
-
 
 # Atalante has walked at 0.15 m/s with its wearers (Gurriet et al. 2018), 0.07 m/s for this robot.
 _WALK = {
@@ -113,6 +92,5 @@ ZEROTH01 = Robot(
     com_height=_HEIGHT,
     mass=3.3494,
     legs=tuple(f"{side}_{joint}" for side in ("right", "left") for joint in _LEG),
-    kneel_searches={"half-kneel": _kneels(_FRONT, _REAR), "both knees": _kneels(_BOTH, _BOTH)},
     gaits=_GAITS,
 )

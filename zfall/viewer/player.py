@@ -1,7 +1,7 @@
 """A policy or baseline that acts in its worlds one control step at a time."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,8 @@ class Player:
         if self.actor is not None and recurrent_keys(self.actor):
             self.env.append_transform(get_primers_from_module(self.actor))
         self._hold: Any = hold_pose(self.env)
+        named = (t.mode_names for t in self.env.transform if hasattr(t, "mode_names"))
+        self._modes: Sequence[str] = next(named, ())
         self._random = np.random.default_rng(seed)
         self._nominal = {k: v.clone() for k, v in base.parameters.values.items()}
         self.env.set_seed(seed)
@@ -93,6 +95,13 @@ class Player:
     def states(self) -> NDArray[np.float64]:
         """Positions after each of the S physics steps of the last step ``(N, S, nq)``."""
         return self._states
+
+    def mode(self, world: int) -> str | None:
+        """The mode of a world, if its task has modes; without a name for it its number."""
+        if "mode" not in self.seen.keys():
+            return None
+        number = int(self.seen["mode"][world].argmax())
+        return self._modes[number] if number < len(self._modes) else f"mode {number}"
 
     @torch.no_grad()
     def step(self) -> None:

@@ -13,7 +13,6 @@ from zfall.envs.terms.balance import capture_point_offset
 from zfall.rotations import tilt
 
 SECONDS = 8.0  # of the past that a plot shows
-MODES = ("recover", "kneel", "stable")  # of the key ``mode``; others have a number
 COLORS = ("#2f6db5", "#d9822b", "#3f9142", "#b0413e", "#7a5195", "#5f6b77", "#00a3a3", "#c2a000")
 TITLES = {
     "tilt": "tilt [degrees]",
@@ -45,14 +44,6 @@ def read_signals(seen: TensorDictBase, world: int) -> dict[str, dict[str, float]
     if "fall_probability" in td.keys():
         signals["fall"] = {"probability": float(td["fall_probability"])}
     return signals
-
-
-def mode_of(seen: TensorDictBase, world: int) -> str | None:
-    """The mode of a world, if its task has modes."""
-    if "mode" not in seen.keys():
-        return None
-    number = int(seen["mode"][world].argmax())
-    return MODES[number] if number < len(MODES) else f"mode {number}"
 
 
 class Plots:

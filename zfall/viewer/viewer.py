@@ -17,7 +17,7 @@ from zfall.viewer.geometry import body_meshes
 from zfall.viewer.page import Page
 from zfall.viewer.player import Player
 from zfall.viewer.scene import COMPARED, RobotView
-from zfall.viewer.signals import Plots, mode_of, read_signals
+from zfall.viewer.signals import Plots, read_signals
 from zfall.viewer.stage import ROOT, Stage, offsets
 
 FRAMES = 30.0  # a second that are shown at least, if the machine can
@@ -253,7 +253,7 @@ class Viewer:
                 own = states[self._players.index(robot.player)][robot.row]
                 robot.view.show(own[max(0, round(share * len(own)) - 1)])
                 fallen = bool(robot.player.fell[robot.row])
-                mode = mode_of(robot.player.seen, robot.row)
+                mode = robot.player.mode(robot.row)
                 note = "fell" if fallen else mode if mode != "recover" else None
                 robot.view.say(f"{robot.label}: {note}" if note else robot.label)
             if self.controls.follow.value:
@@ -264,7 +264,7 @@ class Viewer:
         watched = self._watched()
         if self.controls.plotted.value:
             self.plots.draw()
-        mode = mode_of(watched.player.seen, watched.row)
+        mode = watched.player.mode(watched.row)
         lines = [f"time {watched.player.time:.1f} s"]
         if mode is not None:
             lines.append(f"mode {mode}")

@@ -139,6 +139,7 @@ class ModeMachine(Transform):
     """
 
     units: ClassVar[Mapping[str, str]] = {"mode": "0 or 1: recover, kneel, stable, perhaps rise"}
+    mode_names: ClassVar[tuple[str, ...]] = ("recover", "kneel", "stable", "rise")
 
     ahead: Tensor
     behind: Tensor
