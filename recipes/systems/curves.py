@@ -1,6 +1,6 @@
 """Learning curves over seeds: ``python -m recipes.systems.curves 'runs={icub: [A, B]}'``.
 
-Figure 2 of Ferigo et al. 2020 and figure 4 of Duburcq et al. 2022: return and length of episodes
+Figure 2 of Ferigo et al. 2021 and figure 4 of Duburcq et al. 2022: return and length of episodes
 over control steps, mean over runs, from their ``metrics.csv``. Runs need not be over.
 """
 
