@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from zfall.commands import remove_if_empty, shown_path
 from zfall.errors import SPOKEN, object_at
 from zfall.trust import trusting
-from zfall.values import Count, FractionAboveZero, Name, Positive, Seed
+from zfall.values import Count, FractionAboveZero, Name, NotNegative, Positive, Seed
 
 from .shell import (
     Changes,
@@ -34,7 +34,8 @@ class Keys(TypedDict):
     env: NotRequired[Mapping[str, Any] | None]  # servo=NAME alone gives a part of one
     num_envs: Count
     seconds: Positive
-    pushes: Positive | Sequence[Positive] | None
+    pushes: NotNegative | Sequence[Positive] | None
+    apart: Positive | None
     seed: Seed
     trust: Changes
     keep: Changes
@@ -62,7 +63,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.envs.tables import keep
         from zfall.evaluation.battery import BLOCK
         from zfall.evaluation.candidate import load_candidate
-        from zfall.evaluation.play import film_of, side_pushes, walk
+        from zfall.evaluation.play import film_of, planned, side_pushes, walk
         from zfall.modules.actors import recurrent_keys
 
         console = Console()
@@ -77,9 +78,9 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")
         if not cfg.filmed <= worlds:
             raise ValueError(f"filmed must be at most num_envs {worlds}, got {cfg.filmed}.")
-        if cfg.pushes is not None:
-            sizes = cfg.pushes if isinstance(cfg.pushes, Sequence) else [cfg.pushes]
-            env.append_transform(side_pushes(env, list(sizes), cfg.seconds))
+        sizes, apart = planned(env, cfg.pushes, cfg.apart)
+        if sizes is not None:
+            env.append_transform(side_pushes(env, sizes, cfg.seconds, apart))
     gone = left_out(OmegaConf.select(env_cfg, "training_only", default={}))
     console.print(f"of the env's transforms left out: {', '.join(gone) or 'nothing'}")
     if worlds != cfg.num_envs:

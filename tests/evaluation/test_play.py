@@ -10,7 +10,8 @@ from zfall.envs.make import make_env
 from zfall.envs.tables import keep
 from zfall.envs.transforms.actions import JointPositionTarget
 from zfall.envs.transforms.starts import ScriptedStart
-from zfall.evaluation.play import side_pushes, walk
+from zfall.evaluation.play import planned, side_pushes, walk
+from zfall.falling.modes import ModeMachine
 
 
 def test_speed_and_distance_are_those_of_a_flight(make_base):
@@ -61,6 +62,19 @@ def test_pushes_come_from_the_four_sides_in_turn(make_base):
     env.append_transform(push)
     with pytest.raises(ValueError, match="pushes"):
         side_pushes(env, [0.5], 10.0)
+
+
+def test_a_task_may_say_with_which_pushes_it_is_shown(make_base):
+    """Unless sizes are given; a size of 0 is no push."""
+    base = make_base(num_envs=64)
+    plain, falls = make_env(base, {}), make_env(make_base(num_envs=64), {})
+    falls.append_transform(ModeMachine(falls.base_env, back=0.5, rise=0.04))
+    assert planned(plain, None, None) == (None, 4.0)
+    assert planned(plain, 0.4, 2.0) == ([0.4], 2.0)
+    assert planned(falls, None, None) == ([1.25], 10.0)
+    assert planned(falls, [0.2, 0.3], None) == ([0.2, 0.3], 10.0)
+    assert planned(falls, 0.0, None)[0] is None
+    assert side_pushes(falls, [1.25], 20.0, 10.0).time[0].tolist() == [1.0, 11.0]
 
 
 @pytest.mark.parametrize(

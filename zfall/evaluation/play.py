@@ -51,8 +51,35 @@ class Played:
         return counts + [f"{key}: {self.figures[key]:.3g} {unit}" for key, unit in UNITS.items()]
 
 
-def side_pushes(env: TransformedEnv, sizes: Sequence[float], seconds: float) -> ScriptedPush:
-    """Pushes at the torso, 4 s apart from 1 s on, each from the next side.
+def planned(
+    env: TransformedEnv, pushes: float | Sequence[float] | None, apart: float | None
+) -> tuple[list[float] | None, float]:
+    """Sizes of pushes and the time from push to push [s].
+
+    ``None`` stands for what a transform of the env says in ``played_with``, its size and time: a
+    task that shows nothing unless the robot falls. Else it is no push, and 4 s.
+
+    Args:
+        env: the task.
+        pushes: a size, or one for each push; 0: none.
+        apart: [s].
+
+    Returns:
+        Sizes, ``None`` for no pushes; time.
+    """
+    shown = next((t.played_with for t in env.transform if hasattr(t, "played_with")), None)
+    if pushes is None and shown and ("push", "force") not in env.observation_spec.keys(True):
+        pushes = shown[0]
+    apart = apart or (shown[1] if shown else APART)
+    if pushes is None or pushes == 0:
+        return None, apart
+    return [*pushes] if isinstance(pushes, Sequence) else [pushes], apart
+
+
+def side_pushes(
+    env: TransformedEnv, sizes: Sequence[float], seconds: float, apart: float = APART
+) -> ScriptedPush:
+    """Pushes at the torso, from 1 s on, each from the next side.
 
     World 0 is pushed from behind, from the right, from the front and from the left; worlds 1 to 3
     begin with the other sides, and later worlds lie between them.
@@ -61,22 +88,23 @@ def side_pushes(env: TransformedEnv, sizes: Sequence[float], seconds: float) -> 
         env: the task, which has no push of its own.
         sizes: impulses I of the pushes; one alone is repeated until the end.
         seconds: length of the episode [s].
+        apart: time from the begin of a push to that of the next [s].
 
     Raises:
         ValueError: if the task pushes by itself, without sizes, or if the last comes too late.
     """
     if ("push", "force") in env.observation_spec.keys(True):
-        raise ValueError("pushes must be null where keep leaves a push of the task on.")
+        raise ValueError("pushes must be null or 0 where keep leaves a push of the task on.")
     if not sizes:
         raise ValueError("pushes must hold at least one size, got [].")
-    last = FIRST + APART * (len(sizes) - 1)
+    last = FIRST + apart * (len(sizes) - 1)
     if seconds <= last:
         raise ValueError(
             f"seconds must be above {last:g}, when the last of pushes comes, got {seconds}."
         )
     base = env.base_env
     if len(sizes) == 1:
-        sizes = list(sizes) * math.ceil((seconds - FIRST) / APART)
+        sizes = list(sizes) * math.ceil((seconds - FIRST) / apart)
     world = torch.arange(env.num_envs)[:, None]
     begin = math.pi / 2 * (world % 4 + (world // 4) / math.ceil(env.num_envs / 4))
     heading = begin + math.pi / 2 * torch.arange(len(sizes))
@@ -86,7 +114,7 @@ def side_pushes(env: TransformedEnv, sizes: Sequence[float], seconds: float) -> 
         base,
         point=["torso"] * len(sizes),
         duration=DURATION,
-        time=[FIRST + APART * k for k in range(len(sizes))],
+        time=[FIRST + apart * k for k in range(len(sizes))],
         plan=force[:, None] * level,
     )
 

@@ -41,6 +41,8 @@ The hooks of the general code that it uses:
 - ``("start", NAME)`` for a state to begin in, ``("push", "wrench")`` for forces
   (``zfall.envs.humanoid.HumanoidEnv``);
 - ``reads_files`` on a class: which files decide what it does (``zfall.fingerprints``);
+- ``played_with`` on a transform: size and distance in time of the pushes that ``recipes.play`` has
+  unless told otherwise (``zfall.evaluation.play``);
 - ``mode_names`` on a transform: what the numbers of ``mode`` are called (``zfall.viewer``);
 - ``Robot.postures``: named poses of a robot (``zfall.robots``);
 - ``kind`` and ``measures`` of a battery's yaml (``zfall.evaluation.kinds``), ``_target_`` of a

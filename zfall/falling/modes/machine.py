@@ -20,6 +20,7 @@ from zfall.rotations import tilt
 from zfall.values import Fraction, NotNegativeOrInfinite, Positive, PositiveOrInfinite, one_of
 
 MODES = ("recover", "kneel", "stable", "rise")
+SHOWN = 1.25  # size I of a push that shows what follows a fall
 RECOVER, KNEEL, STABLE, RISE = range(4)
 
 
@@ -139,7 +140,7 @@ class ModeMachine(Transform):
     """
 
     units: ClassVar[Mapping[str, str]] = {"mode": "0 or 1: recover, kneel, stable, perhaps rise"}
-    mode_names: ClassVar[tuple[str, ...]] = ("recover", "kneel", "stable", "rise")
+    mode_names: ClassVar[tuple[str, ...]] = MODES
 
     ahead: Tensor
     behind: Tensor
@@ -184,6 +185,7 @@ class ModeMachine(Transform):
         self._still = partial(lying_still, speed=rest_speed, joint_speed=rest_joint_speed)
         self.mirror_signs = {"mode": (1.0,) * len(self.modes)}
         self.initial = MODES.index(initial)
+        self.played_with = (SHOWN, 4.0 if rise is None else 10.0)  # [I, s]: time to get up
         for name in ("ahead", "behind"):
             self.register_buffer(name, torch.zeros(env.num_envs, dtype=torch.long))
 
