@@ -185,7 +185,8 @@ class ModeMachine(Transform):
         self._still = partial(lying_still, speed=rest_speed, joint_speed=rest_joint_speed)
         self.mirror_signs = {"mode": (1.0,) * len(self.modes)}
         self.initial = MODES.index(initial)
-        self.played_with = (SHOWN, 4.0 if rise is None else 10.0)  # [I, s]: time to get up
+        # [I, s]: once if it stays where it lies, else with time to get up.
+        self.played_with = (SHOWN, 60.0 if rise is None else 10.0)
         for name in ("ahead", "behind"):
             self.register_buffer(name, torch.zeros(env.num_envs, dtype=torch.long))
 
