@@ -35,16 +35,16 @@ class Pushes:
         index = torch.tensor(rows)
         return Pushes(self.time[index], self.force[index], self.duration[index], self.point[index])
 
-    def sooner(self, control_dt: float, physics_dt: float, seed: int) -> "Pushes":
-        """The same, each begun sooner by less than a control step, whole physics steps [s].
+    def later(self, spread: float, physics_dt: float, seed: int) -> "Pushes":
+        """The same, each begun later by up to ``spread`` seconds, whole physics steps.
 
-        A push does not wait for a control step to begin. Who learns from pushes that all begin
-        with one has met none that is half a step old when it is first seen.
+        Who learns from pushes that all come at one time learns that time: its memory counts the
+        steps since the reset, and it expects the push.
         """
         steps = np.random.default_rng(seed).integers(
-            round(control_dt / physics_dt), size=self.time.shape
+            round(spread / physics_dt), size=self.time.shape
         )
-        return replace(self, time=self.time - physics_dt * torch.tensor(steps))
+        return replace(self, time=self.time + physics_dt * torch.tensor(steps))
 
 
 def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:

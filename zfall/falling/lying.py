@@ -18,7 +18,7 @@ from zfall.evaluation.definitions import load_battery
 from zfall.falling.banks import load_bank
 from zfall.falling.files import own_file
 from zfall.falling.modes import STABLE
-from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
+from zfall.falling.pushed import PUSH_TIME, SPREAD, pushed_worlds, world_of
 from zfall.robots import Robot
 from zfall.rotations import from_angles, turned
 from zfall.terminal import QUIET
@@ -177,7 +177,7 @@ def kneeling_bank(
         impulses=impulses,
         starts=math.ceil(2 * count / (24 * len(impulses))),  # half of them kneel, or more
         push_time=PUSH_TIME,
-        end_time=4.5,
+        end_time=PUSH_TIME + SPREAD + 4.0,
         directions=24,
         world=world_of(world),
     )

@@ -1,4 +1,4 @@
-"""Trials of a battery, all at once, whose pushes begin in any physics step."""
+"""Trials of a battery, all at once, whose pushes begin at any time."""
 
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -22,7 +22,7 @@ from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials
 from zfall.policies import load_policy
 from zfall.terminal import QUIET, progress_bar
 
-PUSH_TIME = 0.52  # [s], whole control steps of 20 and 40 ms; pushes begin somewhere in the last
+PUSH_TIME, SPREAD = 0.5, 3.0  # the first time of a push, and how much later it may come [s]
 
 
 @cache
@@ -86,7 +86,7 @@ def pushed_worlds(
     Args:
         battery: the definition.
         env_cfg: config of the env.
-        seed: of the trials, and of when in a control step a push begins.
+        seed: of the trials, and of when a push begins, up to ``SPREAD`` after the battery's time.
         servos: whether the servos act at all.
         control_arm: whether there are trials without a push.
     """
@@ -98,7 +98,7 @@ def pushed_worlds(
     base = env.base_env
     rows = np.arange(worlds).clip(max=len(trials) - 1)
     begin_streams(base, seed, trials["trial"].iloc[rows])
-    pushes = plan_pushes(battery, trials).sooner(base.control_dt, base.physics_dt, seed)[rows]
+    pushes = plan_pushes(battery, trials).later(SPREAD, base.physics_dt, seed)[rows]
     arrange(battery, trials.iloc[rows], pushes, base, begin, push)
     return PushedWorlds(env, trials, rows, pushes)
 

@@ -15,7 +15,7 @@ from zfall.errors import check_number
 from zfall.evaluation.definitions import load_battery
 from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS
 from zfall.falling.modes import KNEEL
-from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
+from zfall.falling.pushed import PUSH_TIME, SPREAD, pushed_worlds, world_of
 from zfall.terminal import QUIET
 
 _KEYS = (*STATE_KEYS, *SEEN_KEYS)
@@ -65,7 +65,7 @@ def record_falls(
         impulses: dimensionless sizes of the pushes.
         starts: trials per direction, size and point.
         duration: of the pushes [s].
-        seed: of the trials, and of when in a control step a push begins.
+        seed: of the trials, and of when a push begins.
         servos: whether the servos act at all.
         world: battery whose hardware is met, ``twin``; ``None``: that of the env.
         console: for the progress bar.
@@ -84,7 +84,7 @@ def record_falls(
         starts=starts,
         duration=duration,
         push_time=PUSH_TIME,
-        end_time=2.5,
+        end_time=PUSH_TIME + SPREAD + 2.0,
         directions=24,
         world=world_of(world),
     )

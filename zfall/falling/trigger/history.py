@@ -12,7 +12,7 @@ from zfall.envs.terms.falls import body_contact
 from zfall.envs.transforms.observations.measured import read_measured
 from zfall.evaluation.baselines import passive
 from zfall.evaluation.definitions import load_battery
-from zfall.falling.pushed import PUSH_TIME, pushed_worlds, world_of
+from zfall.falling.pushed import PUSH_TIME, SPREAD, pushed_worlds, world_of
 from zfall.rotations import tilt
 from zfall.terminal import QUIET
 
@@ -70,7 +70,7 @@ def record(
         measured: keys that the network is to see, in order.
         impulses: dimensionless sizes of the pushes.
         starts: trials per direction and size.
-        seed: of the trials, of noise and delays, and of when in a control step a push begins.
+        seed: of the trials, of noise and delays, and of when a push begins.
         servos: whether the servos act at all.
         world: battery whose hardware is met, ``twin``; ``None``: that of the env.
         console: for the progress bar.
@@ -87,7 +87,7 @@ def record(
         starts=starts,
         directions=24,
         push_time=PUSH_TIME,
-        end_time=3.0,
+        end_time=PUSH_TIME + SPREAD + 2.5,
         world=world_of(world),
     )
     worlds = pushed_worlds(battery, env_cfg, seed=seed, servos=servos)
