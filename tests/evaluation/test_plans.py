@@ -30,17 +30,18 @@ def test_force_has_the_impulse_and_heading_of_the_trial():
     assert force[(trials["direction_rad"] == 0.0).to_numpy().copy()][-1, 0] > 0  # 0 is forward, +x
 
 
-def test_pushes_may_begin_in_any_physics_step_of_a_control_step():
-    """Ten of them, each as likely: of 960 pushes 96, with a deviation of 9.3."""
+def test_pushes_may_begin_in_any_physics_step_of_some_seconds():
+    """Ten for each of 25 spells of 40 ms: of 960 pushes 38.4 in each, with a deviation of 6.1."""
     battery = load_battery("planar", impulses=[1.0], starts=40, directions=24)
     trials = plan_trials(battery, ZEROTH01.impulse_unit, seed=0)
     planned = plan_pushes(battery, trials)
-    sooner = planned.sooner(0.04, 0.004, seed=1)
-    steps = (planned.time - sooner.time)[trials["impulse"].to_numpy() > 0] / 0.004
+    later = planned.later(1.0, 0.004, seed=1)
+    steps = (later.time - planned.time)[trials["impulse"].to_numpy() > 0] / 0.004
     torch.testing.assert_close(steps, steps.round(), rtol=0, atol=1e-6)
-    count = torch.bincount(steps.flatten().round().long())
-    assert len(count) == 10
-    assert 96 - 5 * 9.3 < int(count.min()) <= int(count.max()) < 96 + 5 * 9.3
-    assert torch.equal(sooner.force, planned.force)
-    assert torch.equal(planned.sooner(0.04, 0.004, seed=1).time, sooner.time)
-    assert not torch.equal(planned.sooner(0.04, 0.004, seed=2).time, sooner.time)
+    count = torch.bincount(steps.flatten().round().long() // 10)
+    assert len(count) == 25
+    assert 38.4 - 4 * 6.1 < int(count.min()) <= int(count.max()) < 38.4 + 4 * 6.1
+    assert len(torch.bincount(steps.flatten().round().long() % 10)) == 10  # within a control step
+    assert torch.equal(later.force, planned.force)
+    assert torch.equal(planned.later(1.0, 0.004, seed=1).time, later.time)
+    assert not torch.equal(planned.later(1.0, 0.004, seed=2).time, later.time)

@@ -44,7 +44,7 @@ class Pushes:
         steps = np.random.default_rng(seed).integers(
             round(spread / physics_dt), size=self.time.shape
         )
-        return replace(self, time=self.time + physics_dt * torch.tensor(steps))
+        return replace(self, time=self.time + physics_dt * torch.tensor(steps).double())
 
 
 def plan_trials(battery: Battery, impulse_unit: float, seed: int) -> pd.DataFrame:
