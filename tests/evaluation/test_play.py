@@ -74,6 +74,10 @@ def test_a_task_may_say_with_which_pushes_it_is_shown(make_base):
     assert planned(falls, None, None) == ([1.25], 10.0)
     assert planned(falls, [0.2, 0.3], None) == ([0.2, 0.3], 10.0)
     assert planned(falls, 0.0, None)[0] is None
+    pushed = make_env(make_base(num_envs=64), {})
+    for transform in (ModeMachine(pushed.base_env), side_pushes(pushed, [0.4], 10.0)):
+        pushed.append_transform(transform)
+    assert planned(pushed, None, None)[0] is None  # it has pushes of its own
     assert side_pushes(falls, [1.25], 20.0, 10.0).time[0].tolist() == [1.0, 11.0]
 
 
