@@ -21,11 +21,14 @@ def test_lead_and_false_alarms_by_hand():
     early[0, 1], early[1, 0] = 0.9, 0.9  # before the push of each, of which it knew nothing
     rows = table("network", history, learned(early, 0.04), 0.04).set_index("setting")
     assert rows.loc["0.5", "detected"] == 0.0
+    # two alarms in 1 + 0 + 2 steps: a trial that was given up is watched no longer
+    assert rows.loc["0.5", "alarms_per_hour"] == pytest.approx(2 / (3 * 0.04 / 3600))
     rows = table("network", history, learned(probability, 0.04), 0.04).set_index("setting")
     assert rows.loc["0.5", "detected"] == 0.5
     assert rows.loc["0.5", "lead_s"] == pytest.approx(0.2)
     assert rows.loc["0.5", "false_alarms"] == 1.0
     assert rows.loc["0.8", "false_alarms"] == 0.0
+    assert rows.loc["0.5", "alarms_per_hour"] == 0.0
 
 
 def test_the_network_must_be_sure_for_as_long_as_the_policy_asks_of_it():

@@ -78,7 +78,8 @@ def table(
         ``trigger``, ``setting``; ``detected``: share of the falls in which it triggered between
         the push's begin and the first touch, and not before; ``lead_s``: median time from trigger
         to touch in these, NaN without any; ``false_alarms``: share of the other trials that it
-        gave up.
+        gave up; ``alarms_per_hour``: how often it gives up in an hour [1/h] in which nobody has
+        pushed yet.
     """
     rows = []
     steps = torch.arange(history.live.shape[1])
@@ -88,6 +89,7 @@ def table(
         first = torch.where(state, steps, _NEVER).amin(1)
         falls, stays = history.fell, ~history.fell
         seen = falls & (first < touch) & (first >= begin)
+        alone = torch.minimum(first, begin).sum() * control_dt / 3600.0
         lead = ((touch - first)[seen].double() * control_dt).median() if seen.any() else torch.nan
         rows.append(
             {
@@ -96,6 +98,7 @@ def table(
                 "detected": float(seen.sum() / falls.sum()),
                 "lead_s": float(lead),
                 "false_alarms": float((first[stays] < _NEVER).double().mean()),
+                "alarms_per_hour": float((first < begin).sum() / alone),
             }
         )
     return pd.DataFrame(rows)
