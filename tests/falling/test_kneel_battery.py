@@ -1,5 +1,7 @@
 """The kind ``Kneel``: its trials, and the figures of a study, by hand."""
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 import torch
@@ -65,3 +67,9 @@ def test_kneel_tries_the_listed_forces_and_a_grid():
     assert sizes[:4].max() < 0.515  # the numbers the project's own table gives
     assert 0.87 < sizes[4:7].min() < sizes[4:7].max() < 1.02
     assert 1.74 < sizes[7:].min() < sizes[7:].max() < 2.04
+
+
+def test_on_the_twin_it_is_the_same_battery_in_the_twin_s_hardware():
+    later, twin = load_battery("kneel_later"), load_battery("kneel_twin")
+    assert twin.world == load_battery("twin").world
+    assert replace(twin, name="kneel_later", world=None) == later
