@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from zfall.commands import remove_if_empty, shell_line
 from zfall.errors import SPOKEN
 from zfall.trust import trusting
-from zfall.values import Count, FractionAboveZero, Name, Positive, Rule, Seed, Whole
+from zfall.values import Count, FractionAboveZero, Name, Positive, Rule, Seed, Times, Whole
 
 from .shell import (
     Changes,
@@ -42,6 +42,8 @@ class Keys(TypedDict):
     trial: Whole | None
     video: bool
     slow: FractionAboveZero
+    slow_for: Positive | None
+    shown: Times | None
     references: bool
     joint: Name
     servo: NotRequired[Any]
@@ -79,6 +81,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.run import run_or_read
         from zfall.evaluation.settings import check_values, names_of, setting_of
         from zfall.evaluation.single_trial import show_trial
+        from zfall.evaluation.video import Cut
 
         console = Console()
         check_values(cfg, choice("servo"))
@@ -98,7 +101,8 @@ def main(cfg: DictConfig) -> None:
         folders = {each.name: each.results(places[each.name]) / setting for each in candidates}
         if cfg.trial is not None:
             folder = folders[names[0]] if len(names) == 1 else output
-            given = {key: cfg[key] for key in ("seed", "joint", "video", "slow")}
+            given = {key: cfg[key] for key in ("seed", "joint", "video")}
+            given["cut"] = Cut(cfg.slow, cfg.slow_for, cfg.shown)
             show_trial(battery, cfg.trial, candidates, folders, folder, console, **given)
             remove_if_empty(output)
             return

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from zfall.commands import remove_if_empty, shown_path
 from zfall.errors import SPOKEN, object_at
 from zfall.trust import trusting
-from zfall.values import Count, FractionAboveZero, Name, NotNegative, Positive, Seed
+from zfall.values import Count, FractionAboveZero, Name, NotNegative, Positive, Seed, Times
 
 from .shell import (
     Changes,
@@ -44,6 +44,8 @@ class Keys(TypedDict):
     video: bool
     filmed: Count
     slow: FractionAboveZero
+    slow_for: Positive | None
+    shown: Times | None
     measures: Sequence[Name]
 
 
@@ -64,6 +66,7 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.battery import BLOCK
         from zfall.evaluation.candidate import load_candidate
         from zfall.evaluation.play import film_of, planned, side_pushes, walk
+        from zfall.evaluation.video import Cut
         from zfall.modules.actors import recurrent_keys
 
         console = Console()
@@ -113,7 +116,7 @@ def main(cfg: DictConfig) -> None:
                 env.base_env,
                 player.label,
                 folder / "play.mp4",
-                slow=cfg.slow,
+                cut=Cut(cfg.slow, cfg.slow_for, cfg.shown),
                 follow=lambda frames, total: track(
                     frames, "filming", total=total, console=console, transient=True
                 ),

@@ -15,6 +15,7 @@ from zfall.evaluation.candidate import Candidate
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.followers import outcome_names
 from zfall.evaluation.single_trial import Replay, run_trial, sentence, show_trial
+from zfall.evaluation.video import Cut
 
 
 def test_runs_whose_folders_have_the_same_name_are_drawn_apart(tmp_path, monkeypatch):
@@ -77,14 +78,14 @@ def test_a_film_of_a_trial_names_it_and_goes_as_slow_as_asked(tmp_path, monkeypa
         row, seconds, [(0.5, 0.6)], np.zeros((1, 1, 7)), log, env, 5.0, {"gives up": 0.6}
     )
     monkeypatch.setattr(single_trial, "run_trial", lambda *_, **__: replay)
-    given = {"seed": 0, "joint": "left_hip_pitch", "video": True, "slow": 0.25}
+    given = {"seed": 0, "joint": "left_hip_pitch", "video": True, "cut": Cut(0.25)}
     candidates = [Candidate("mine", OmegaConf.create({"base_env": {}}), None)]
     console = Console(quiet=True)
     where = {"mine": tmp_path}
     show_trial(load_battery("kneel"), 7, candidates, where, tmp_path, console, **given)
     ((columns, settings),) = filmed
     assert columns == ["trial 7 of kneel; published servos, nominal world"]
-    assert settings["slow"] == 0.25
+    assert settings["cut"].slow == 0.25
     (said,) = settings["outcomes"]["mine"]
     assert said == [(0.6, "gives up {when}", None), (pytest.approx(0.7), "fell {when}", False)]
     # Falls count from when the battery pushes, 3 s in planar, also of trials without a push.

@@ -94,6 +94,7 @@ def test_an_env_without_pushes_has_no_marks():
 def test_a_film_tells_times_since_the_last_push_before():
     fell = [(2.9, "fell {when}", False)]
     assert outcome_at(fell, 3.0, None, [0.8, 2.4]) == ("fell 0.5 s after the push", False)
+    assert outcome_at(fell, 3.0, None, [0.8, 2.86]) == ("fell 0.04 s after the push", False)
     assert outcome_at(fell, 3.0, None, [0.8, 2.95]) == ("fell 2.1 s after the push", False)
     assert outcome_at(fell, 3.0, None, []) == ("fell after 2.9 s", False)
 
@@ -126,9 +127,20 @@ def test_the_clock_shows_the_time_of_the_state_in_the_picture(monkeypatch, tmp_p
     assert [text["clock"] for text in texts[:2]] == ["0.04 s", "0.08 s"]
     assert texts[-1]["clock"] == "2.00 s"
     assert filmed(monkeypatch, tmp_path, start=0.01)[0][1]["clock"] == "0.05 s"
-    slow, _ = filmed(monkeypatch, tmp_path, slow=0.5)
+    slow, _ = filmed(monkeypatch, tmp_path, cut=video.Cut(0.5))
     assert [text["clock"] for text in slow[:3]] == ["0.04 s  x0.5", "0.06 s  x0.5", "0.08 s  x0.5"]
     assert slow[-1]["clock"] == "2.00 s  x0.5"  # the last state stays
+
+
+def test_only_a_while_from_the_push_on_is_slow_and_only_a_part_is_shown(monkeypatch, tmp_path):
+    """The push acts from 0.4 s on, in the step that ends at 0.44 s."""
+    texts, _ = filmed(monkeypatch, tmp_path, cut=video.Cut(0.5, slow_for=0.08, shown=[0.32, 0.6]))
+    assert [text["clock"] for text in texts] == [
+        *("0.32 s", "0.36 s", "0.40 s  x0.5", "0.42 s  x0.5", "0.44 s  x0.5", "0.46 s  x0.5"),
+        *("0.48 s", "0.52 s", "0.56 s"),
+    ]
+    with pytest.raises(ValueError, match=r"from 0.04 to 2.04 s, got \[3, 4\]"):
+        filmed(monkeypatch, tmp_path, cut=video.Cut(shown=[3.0, 4.0]))
 
 
 def test_a_push_is_named_once_and_no_arrow_points_at_who_lies(monkeypatch, tmp_path):

@@ -160,6 +160,7 @@ def test_results_of_one_setting_do_not_overwrite_those_of_another(trained, evalu
         (["run=best", "env=icub_balance"], "error: env must be given for baselines alone, best"),
         (["run=best", "video=true"], "error: video needs a trial"),
         (["run=best", "slow=0.5", "trial=3"], "error: slow needs a film"),
+        (["run=best", "shown=[1,2]", "trial=3"], "error: shown needs a film"),
         (
             ["run=best", "battery=twin", "servo=datasheet"],
             "error: servo must be left out with a battery whose world has servos of its own",

@@ -231,4 +231,5 @@ def when(moment: float, begins: Sequence[float]) -> str:
     before = [begin for begin in begins if begin <= moment + 1e-6]
     if not before:
         return f"after {moment:.1f} s"
-    return f"{moment - before[-1]:.1f} s after the push"
+    since = moment - before[-1]
+    return f"{since:.{1 if since >= 0.095 else 2}f} s after the push"

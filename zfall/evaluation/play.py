@@ -17,7 +17,7 @@ from zfall.evaluation.battery import play
 from zfall.evaluation.captions import Pushed, PushLog
 from zfall.evaluation.endings import Endings
 from zfall.evaluation.followers import Follower
-from zfall.evaluation.video import Outcomes, film, frame
+from zfall.evaluation.video import Cut, Outcomes, film, frame
 
 FIRST, APART, DURATION = 1.0, 4.0, 0.1  # when pushes begin, and their length [s]
 UNITS = {"seconds": "s", "forward_velocity": "m/s", "distance": "m"}
@@ -181,7 +181,7 @@ def film_of(
     label: str,
     path: Path,
     *,
-    slow: float = 1.0,
+    cut: Cut = Cut(),
     follow: Callable[[Iterable[int], int], Iterable[int]] = lambda frames, total: frames,
 ) -> None:
     """Films what was played, one column per world.
@@ -191,7 +191,7 @@ def film_of(
         base: the env in which.
         label: of who played.
         path: of the mp4.
-        slow: 0.25 shows it four times as slow.
+        cut: which part of the time is shown, and how fast.
         follow: passes the frames on, given their number, as a progress bar does.
 
     Raises:
@@ -204,7 +204,7 @@ def film_of(
         played.pushed,
         path,
         dt=frame(base),
-        slow=slow,
+        cut=cut,
         outcomes={label: played.outcomes},
         follow=follow,
     )

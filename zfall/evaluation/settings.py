@@ -24,8 +24,9 @@ def check_values(cfg: DictConfig, servo: str | None = None) -> None:
         )
     if cfg.video and cfg.trial is None:
         raise ValueError("video needs a trial, by its number in trials.csv: trial=1000.")
-    if cfg.slow != 1 and not cfg.video:
-        raise ValueError(f"slow needs a film, video=true, got slow={cfg.slow:g} without one.")
+    for key, plain in (("slow", 1), ("slow_for", None), ("shown", None)):
+        if cfg[key] != plain and not cfg.video:
+            raise ValueError(f"{key} needs a film, video=true, got {key}={cfg[key]} without one.")
     if servo is not None and OmegaConf.select(cfg, "battery.world.base_env.servos") is not None:
         raise ValueError(
             f"servo must be left out with a battery whose world has servos of its own, got "

@@ -21,7 +21,7 @@ from zfall.evaluation.headings import surroundings
 from zfall.evaluation.plans import Pushes, plan_pushes
 from zfall.evaluation.plots import trace_plot
 from zfall.evaluation.results import labels
-from zfall.evaluation.video import film, frame
+from zfall.evaluation.video import Cut, film, frame
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def show_trial(
     seed: int,
     joint: str,
     video: bool,
-    slow: float = 1.0,
+    cut: Cut = Cut(),
 ) -> None:
     """Runs a trial again with each policy, prints its rows, draws traces of a joint.
 
@@ -79,7 +79,7 @@ def show_trial(
         seed: of the battery.
         joint: which is drawn.
         video: whether it is filmed.
-        slow: how fast time goes in the film, 0.25 for four times as slow.
+        cut: which part of the time the film shows, and how fast.
 
     Raises:
         ValueError: if there is no such trial or joint.
@@ -103,7 +103,7 @@ def show_trial(
             where = surroundings(each.env_cfg, battery, each.kept)
             name = f"trial {trial} of {battery.name}; {where}"
             label, when = labels([each.name])[0], battery.push_time
-            _film(replay, label, name, outcome, path, console, slow=slow, push_time=when)
+            _film(replay, label, name, outcome, path, console, cut=cut, push_time=when)
         renamed = {f"{key}/{joint}": key for key in ("target", "position", "torque")}
         traces[each.name] = replay.traces.rename(columns=renamed)
         pushes += [push for push in replay.pushes if push not in pushes]
@@ -175,7 +175,7 @@ def _film(
     path: Path,
     console: Console,
     *,
-    slow: float,
+    cut: Cut,
     push_time: float,
 ) -> None:
     env, length = replay.env, float(replay.traces["time_s"].iloc[-1])
@@ -198,7 +198,7 @@ def _film(
             pushed,
             path,
             dt=frame(env),
-            slow=slow,
+            cut=cut,
             outcomes={label: [sorted(said, key=lambda each: each[0])]},
         )
         console.print(f"wrote {path}", soft_wrap=True)

@@ -1,7 +1,9 @@
 """Films of trials: a row for each policy, a column for each push."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,60 @@ RATE = 25.0  # least pictures per second
 Outcomes = Sequence[tuple[float, str, bool | None]]
 
 
+@dataclass(frozen=True)
+class Cut:
+    """Which part of the time a film shows, and how fast.
+
+    Args:
+        slow: how fast time goes, 0.25 for four times as slow.
+        slow_for: so long from the begin of each push [s]; ``None``: all the time.
+        shown: from when to when [s]; ``None``: from begin to end.
+
+    Raises:
+        ValueError: if ``slow`` is not in (0, 1].
+    """
+
+    slow: float = 1.0
+    slow_for: float | None = None
+    shown: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.slow <= 1:
+            raise ValueError(f"slow must be above 0 and at most 1, got {self.slow}.")
+
+    def pictures(
+        self, count: int, dt: float, start: float, begins: Iterable[float], rate: float
+    ) -> list[tuple[float, float]]:
+        """Time since the first state and pace of each picture.
+
+        Args:
+            count: number of states; the last stays for ``dt``.
+            dt: time between two of them [s].
+            start: time of the first [s].
+            begins: of pushes [s].
+            rate: of the film [1/s].
+
+        Raises:
+            ValueError: if there are none.
+        """
+        begins = list(begins)
+        first, end = self.shown or (start, math.inf)
+        moment, last = max(0.0, first - start), min(count * dt, end - start)
+        out = []
+        while moment < last - 1e-6:
+            ages = [start + moment - begin for begin in begins]
+            slowly = self.slow_for is None or any(-1e-6 <= a < self.slow_for - 1e-6 for a in ages)
+            pace = self.slow if slowly else 1.0
+            out.append((moment, pace))
+            moment = round(moment + pace / rate, 9)
+        if not out:
+            there = f"{start:g} to {start + count * dt:g} s"
+            raise ValueError(
+                f"shown must hold some of the time from {there}, got [{first:g}, {end:g}]."
+            )
+        return out
+
+
 def film(
     model: mujoco.MjModel,
     rows: dict[str, NDArray[np.float64]],
@@ -37,7 +93,7 @@ def film(
     dt: float,
     start: float | None = None,
     tile: tuple[int, int] = (640, 480),
-    slow: float = 1.0,
+    cut: Cut = Cut(),
     outcomes: Mapping[str, Sequence[Outcomes]] | None = None,
     shadows: bool = True,
     follow: Callable[[Iterable[int], int], Iterable[int]] = lambda frames, total: frames,
@@ -57,19 +113,16 @@ def film(
         dt: time between two states [s].
         start: time of the first state [s]; ``None``: ``dt``, as states follow their control steps.
         tile: width and height of one picture [pixels].
-        slow: how fast time goes, 0.25 for four times as slow.
+        cut: which part of the time, and how fast.
         outcomes: by name of the policy, what came of each column, and when.
         shadows: whether there are any; without them a picture takes a third of the time.
         follow: passes on the numbers of the pictures, as a progress bar does.
 
     Raises:
         RuntimeError: if no OpenGL is to be had.
-        ValueError: if ``slow`` is not in (0, 1].
+        ValueError: if nothing is left to show.
     """
-    if not 0 < slow <= 1:
-        raise ValueError(f"slow must be above 0 and at most 1, got {slow}.")
     start = dt if start is None else start
-    copies = math.ceil(RATE * dt / slow - 1e-6)  # pictures from one state to the next
     renderer = make_renderer(model, *tile)
     option = mujoco.MjvOption()
     option.sitegroup[:] = 0
@@ -88,18 +141,22 @@ def film(
         for c in range(len(columns))
     ]
     abreast = len(rows) == 2 and len(columns) == 1
-    pace = f"  x{slow:g}" if slow < 1 else ""
+    rate = math.ceil(RATE * dt - 1e-6) / dt
+    count = len(pushed.force)
+    pictures = cut.pictures(count, dt, start, itertools.chain.from_iterable(begins), rate)
     writer: Any
-    total = len(pushed.force) * copies
-    with imageio.get_writer(path, fps=copies * slow / dt, macro_block_size=8, quality=8) as writer:
-        for picture in follow(range(total), total):
-            t, share = divmod(picture, copies)
-            time = start + min(t + share / copies, len(pushed.force) - 1) * dt
+    with imageio.get_writer(path, fps=rate, macro_block_size=8, quality=8) as writer:
+        for number in follow(range(len(pictures)), len(pictures)):
+            moment, pace = pictures[number]
+            t = int(moment / dt + 1e-6)
+            share = max(0.0, moment / dt - t)
+            time = start + min(moment, (count - 1) * dt)
+            clock = f"{time:.2f} s" + (f"  x{pace:g}" if pace < 1 else "")
             lines = []
-            for number, (name, states) in enumerate(rows.items()):
+            for row, (name, states) in enumerate(rows.items()):
                 tiles = []
                 for c, column in enumerate(columns):
-                    place(model, data, between(model, states[:, c], t, share / copies))
+                    place(model, data, between(model, states[:, c], t, share))
                     renderer.update_scene(data, camera="track", scene_option=option)
                     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
                     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
@@ -107,12 +164,12 @@ def film(
                     said = outcome_at(outcomes[name][c] if outcomes else (), time, mark, begins[c])
                     if mark and not (said and said[1] is False):
                         draw_arrow(renderer.scene, data, mark)
-                    named = mark is not None and number == 0 and not abreast
+                    named = mark is not None and row == 0 and not abreast
                     tiles.append(
                         write_on(
                             renderer.render(),
                             title=f"{name}\n{column}",
-                            clock=f"{time:.2f} s{pace}",
+                            clock=clock,
                             push=mark.label if mark and named else "",
                             outcome=said,
                         )
