@@ -12,6 +12,7 @@ from zfall.robots import ZEROTH01
 from zfall.training.stages import stages_of
 
 FALLS = own_file(ZEROTH01, "falls.npz")
+WALK = "experiment=zeroth_walk"
 PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
 
 
@@ -21,7 +22,6 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
         *(name + end for name in PAPERS for end in ("", "_laptop")),
         "best_gru",
         "push_to_kneel_softly",
-        "zeroth_walk",
     ],
 )
 def test_every_experiment_learns(name, tmp_path):
@@ -39,6 +39,19 @@ def test_every_experiment_learns(name, tmp_path):
     assert done.returncode == 0, done.stderr
     metrics = pd.read_csv(tmp_path / "run" / "metrics.csv")
     assert metrics["frames"].tolist() == [32, 64]
+    assert metrics.filter(regex="^loss/").notna().all(axis=None)
+
+
+def test_who_walks_is_pushed_hard_in_the_second_of_three_stages(tmp_path, compose_config):
+    stages = [stage.config.env.transforms for stage in stages_of(compose_config(WALK))]
+    assert [each.curriculum is not None for each in stages] == [False, True, False]
+    assert [each.push.axes.x for each in stages] == [[-8, 8], [-20, 20], [-8, 8]]
+    few = [f"stages.{name}.total_frames=32" for name in ("walk", "pushed", "settle")]
+    tiny = [each for each in TINY if not each.startswith("total_frames")]
+    done = run("train", WALK, *few, *tiny, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(tmp_path / "run" / "metrics.csv")
+    assert metrics["stage"].tolist() == [1, 2, 3]
     assert metrics.filter(regex="^loss/").notna().all(axis=None)
 
 

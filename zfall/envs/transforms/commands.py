@@ -26,7 +26,8 @@ class Command(Transform):
     entry     content
     ========= =============================================================
     vx, vy    velocity of the base forward and to the left [m/s]
-    yaw       heading of the base, 0 along the world's x axis [rad]
+    yaw       heading of the base, 0 along the world's x axis [rad];
+              with ``turning`` its rate to the left [rad/s]
     height    of the base, from that of the standing pose [m]
     roll      of the base, to the right [rad]
     pitch     of the base, forward [rad]
@@ -34,7 +35,7 @@ class Command(Transform):
 
     The command observed before a step is the one for that step. With ``turning`` the entry yaw is
     the rate at which the heading shall turn [rad/s]; that heading follows from it, from 0 at the
-    begin of an episode, in (-pi, pi].
+    begin of an episode, in [-pi, pi).
 
     Keys: writes ``command`` ``(N, 6)``, with ``turning`` also ``commanded_heading`` ``(N, 1)``
     [rad].
