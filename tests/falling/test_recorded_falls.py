@@ -8,6 +8,8 @@ import torch
 from torch.testing import assert_close
 
 from zfall.envs.humanoid import STATE_KEYS
+from zfall.envs.transforms.actions import ActuatorDelay
+from zfall.falling.bank_worlds import BankWorlds
 from zfall.falling.files import own_file
 from zfall.falling.movements import load_catches
 from zfall.falling.recorded_falls import Falls, Landing, caught
@@ -31,12 +33,12 @@ def standing(env, headings, speeds, facing):
 
 
 @pytest.mark.parametrize("facing", [0.0, 2.0])
-def test_falls_are_told_apart_by_heading_and_speed(make_base, tmp_path, facing):
+def test_falls_are_told_apart_by_heading_and_speed(tmp_path, facing):
     """Robots that stand and move as a whole: the center of mass is as fast as the base."""
-    env = make_base(num_envs=4)
-    states = standing(env, [0.0, 100.0, -170.0, 175.0], [1.0, 1.0, 1.0, 2.0], facing)
+    worlds = BankWorlds(4)
+    states = standing(worlds.base, [0.0, 100.0, -170.0, 175.0], [1.0, 1.0, 1.0, 2.0], facing)
     np.savez(tmp_path / "falls.npz", **states)
-    falls = Falls(env, tmp_path / "falls.npz")
+    falls = Falls(worlds, tmp_path / "falls.npz")
     assert falls.heading.tolist() == pytest.approx([0.0, 100.0, -170.0, 175.0], abs=0.5)
     assert falls.speed.tolist() == pytest.approx([1.0, 1.0, 1.0, 2.0], rel=1e-3)
     assert falls.like(90, 0.0, 1.5).tolist() == [1]
@@ -45,36 +47,58 @@ def test_falls_are_told_apart_by_heading_and_speed(make_base, tmp_path, facing):
     assert falls.like(-90, 0.0, 3.0).tolist() == []
 
 
-def test_what_is_left_of_a_push_goes_on(make_base, tmp_path):
+def test_what_is_left_of_a_push_goes_on(tmp_path):
     """10 N for 0.06 s: all of the first step of 0.04 s, half of the second; 0.6 N s in all.
 
     The speed is that after the first of them, when the movement is chosen for good.
     """
-    env = make_base(num_envs=2, control_dt=0.04)
-    states = standing(env, [0.0, 0.0], [1.0, 1.0], 0.0)
+    worlds = BankWorlds(2)
+    states = standing(worlds.base, [0.0, 0.0], [1.0, 1.0], 0.0)
     states["push_force"][1], states["push_left"][1] = [10.0, 0.0, 0.0], 0.06
     np.savez(tmp_path / "falls.npz", **states)
-    falls, rows = Falls(env, tmp_path / "falls.npz"), torch.tensor([0, 1])
-    assert (falls.speed[1] - falls.speed[0]).item() == pytest.approx(0.4 / env.mass, rel=1e-3)
+    falls, rows = Falls(worlds, tmp_path / "falls.npz"), torch.tensor([0, 1])
+    assert (falls.speed[1] - falls.speed[0]).item() == pytest.approx(
+        0.4 / worlds.base.mass, rel=1e-3
+    )
     impulse = torch.zeros(2, 3)
     for time in (0.0, 0.04):
-        impulse += falls.wrench(rows, time)[..., :3].sum((1, 2)) * env.physics_dt
+        impulse += falls.wrench(rows, time)[..., :3].sum((1, 2)) * worlds.base.physics_dt
     assert_close(impulse, torch.tensor([[0.0, 0, 0], [0.6, 0, 0]]))
     assert falls.wrench(rows, 0.08) is None
 
 
-def test_a_file_that_the_worlds_do_not_fill_evenly_is_read_whole(make_base, tmp_path):
-    env = make_base(num_envs=5)
-    states = standing(env, [0.0, 30.0, 60.0, 90.0, 120.0], [1.0] * 5, 0.0)
+@pytest.mark.parametrize("world", [None, "twin"])
+def test_a_fall_goes_on_as_it_was_recorded(tmp_path, world):
+    """In the twin too, where the env has transforms and the last target is still on its way."""
+    worlds = BankWorlds(2, world)
+    states = standing(worlds.base, [0.0, 90.0], [1.0, 2.0], 0.0)
+    states["joint_position"] += np.array([[0.05], [0.1]], np.float32)
+    states["target"] = states["joint_position"] + np.float32(0.2)
     np.savez(tmp_path / "falls.npz", **states)
-    falls = Falls(make_base(num_envs=3), tmp_path / "falls.npz")
+    falls = Falls(worlds, tmp_path / "falls.npz")
+    td = falls.begin(torch.tensor([1, 0]))
+    for key in STATE_KEYS:
+        assert_close(td[key], torch.from_numpy(states[key])[[1, 0]], atol=1e-5, rtol=0)
+    late = [t for t in worlds.env.transform if isinstance(t, ActuatorDelay)]
+    assert len(late) == (0 if world is None else 2)
+    for transform in late:
+        assert_close(transform.history[:, 0], torch.from_numpy(states["target"])[[1, 0]])
+    assert falls.speed.tolist() == pytest.approx([1.0, 2.0], rel=1e-2)
+
+
+def test_a_file_that_the_worlds_do_not_fill_evenly_is_read_whole(tmp_path):
+    worlds = BankWorlds(5)
+    states = standing(worlds.base, [0.0, 30.0, 60.0, 90.0, 120.0], [1.0] * 5, 0.0)
+    np.savez(tmp_path / "falls.npz", **states)
+    falls = Falls(BankWorlds(3), tmp_path / "falls.npz")
     assert falls.heading.tolist() == pytest.approx([0.0, 30.0, 60.0, 90.0, 120.0], abs=0.5)
 
 
 @pytest.mark.parametrize("heading", [0, 90, 180, 270])
-def test_stored_movements_catch_falls_that_standing_does_not(make_base, heading):
-    env = make_base(num_envs=32, control_dt=0.04)
-    falls, known = Falls(env, BANK), load_catches(ZEROTH01)
+def test_stored_movements_catch_falls_that_standing_does_not(heading):
+    worlds = BankWorlds(32)
+    env = worlds.base
+    falls, known = Falls(worlds, BANK), load_catches(ZEROTH01)
     rows = falls.like(heading, 0.0, float(known.speeds[0]))
     rows = rows[torch.arange(16) % len(rows)].repeat(2)
     stand = env.stand_position.expand(16, known.postures.shape[2], -1)
@@ -91,14 +115,13 @@ def test_stored_movements_catch_falls_that_standing_does_not(make_base, heading)
     assert acceleration[:16].mean() < acceleration[16:].mean()
 
 
-def test_what_strikes_soon_after_the_first_touch_counts_and_what_comes_later_does_not(
-    make_base, monkeypatch
-):
+def test_what_strikes_soon_after_the_first_touch_counts_and_what_comes_later_does_not(monkeypatch):
     """Torso at 0.08 s with 10 N; then the head: at 0.56 s with 30 N, or at 0.6 s, too late."""
-    env = make_base(num_envs=3, control_dt=0.04)
-    falls, time = Falls(env, BANK), 0.0
+    worlds = BankWorlds(3)
+    env = worlds.base
+    falls, time = Falls(worlds, BANK), 0.0
     torso, head = (env.regions.index(region) for region in ("torso", "head"))
-    step = env.step
+    step = worlds.env.step
 
     def scripted(td):
         nonlocal time
@@ -111,7 +134,7 @@ def test_what_strikes_soon_after_the_first_touch_counts_and_what_comes_later_doe
         out["next", "diverged"][2] = abs(time - 0.2) < 0.01
         return out
 
-    monkeypatch.setattr(env, "step", scripted)
+    monkeypatch.setattr(worlds.env, "step", scripted)
     rows, known = torch.tensor([0, 0, 0]), load_catches(ZEROTH01)
     landing = caught(falls, rows, env.stand_position.expand(3, 5, -1), known.until)
     assert landing.force[:2].tolist() == [30.0, 10.0]

@@ -5,6 +5,7 @@ import torch
 from rich.console import Console
 
 from zfall.falling import search as module
+from zfall.falling.bank_worlds import BankWorlds
 from zfall.falling.banks import bank_control_dt, load_bank, save_bank
 from zfall.falling.files import own_file
 from zfall.falling.making import SearchedCatches
@@ -48,9 +49,9 @@ def test_the_search_finds_what_its_score_prefers(make_base):
     assert ((found >= low) & (found <= high)).all()
 
 
-def test_what_is_known_stays_where_nothing_better_is_found(make_base, score):
+def test_what_is_known_stays_where_nothing_better_is_found(score):
     """Of 0 degrees the best is known, of 30 degrees not; 60 degrees are left out."""
-    falls = Falls(make_base(num_envs=8), BANK)
+    falls = Falls(BankWorlds(8), BANK)
     search = CrossEntropySearch(candidates=16, trials=2, elite=4, rounds=6, spread=0.4)
     catches = first_guess(None, score.stand_position, [0.08, 0.16], [])
     catches.postures[0, 0, 1, 2] = -0.9
@@ -64,9 +65,9 @@ def test_what_is_known_stays_where_nothing_better_is_found(make_base, score):
     assert torch.equal(catches.postures[2:], before[2:])
 
 
-def test_too_few_falls_are_not_searched(make_base, score):
+def test_too_few_falls_are_not_searched(score):
     """No fall of the bank is as fast as 100 m/s."""
-    falls = Falls(make_base(num_envs=8), BANK)
+    falls = Falls(BankWorlds(8), BANK)
     catches = first_guess(None, score.stand_position, [0.08, 0.16], [100.0])
     search = CrossEntropySearch(candidates=4, trials=2, elite=2, rounds=1)
     slow, fast = improve(catches, falls, search, [180])

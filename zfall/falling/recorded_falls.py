@@ -5,44 +5,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from hydra.utils import instantiate
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.envs import EnvBase
 
-from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
-from zfall.envs.make import make_env
+from zfall.envs.humanoid import STATE_KEYS
+from zfall.falling.bank_worlds import BankWorlds
 from zfall.falling.banks import PUSH_KEYS, load_bank
 from zfall.falling.kneel_reference import SETTLE
-from zfall.falling.pushed import world_of
 from zfall.falling.terms import resting_kneel
 from zfall.rotations import turn_to_heading
 
 END, SPEED = 1.5, 6.0  # of a trial [s]; of each joint, as that of KneelReference [rad/s]
 AFTER = 0.5  # for which a trial goes on once torso or head touched [s], as in battery planar
 FORCE, ACCELERATION = 1200.0, 400.0  # worst that a score tells apart [N, m/s2]
-
-
-def falling_worlds(count: int, world: str | None = None, *, control_dt: float = 0.04) -> EnvBase:
-    """Worlds for ``Falls``, whose targets are given.
-
-    Args:
-        count: number of worlds.
-        world: battery whose hardware is met, ``twin``, each time in another draw; ``None``: the
-            published servos, and no delays.
-        control_dt: of the policy that the falls are of [s].
-    """
-    hardware = world_of(world) or {}
-    base: HumanoidEnv = instantiate(
-        {"_target_": "zfall.envs.humanoid.HumanoidEnv", **hardware.get("base_env", {})},
-        num_envs=count,
-        control_dt=control_dt,
-        physics_dt=0.004,
-        _convert_="all",
-    )
-    if world is None:
-        return base
-    return make_env(base, {**hardware["commands"], **hardware["physics"]})
 
 
 def last_choice(control_dt: float) -> float:
@@ -59,22 +34,20 @@ class Falls:
         heading: its direction, from the robot's own, counterclockwise ``(K,)`` [degrees].
 
     Args:
-        worlds: of ``falling_worlds``.
+        worlds: which begin in them.
         path: of the bank, which must have pushes, at the torso.
 
     Raises:
         ValueError: if there is no such bank.
     """
 
-    def __init__(self, worlds: EnvBase, path: Path):
-        env: HumanoidEnv = getattr(worlds, "base_env", worlds)
-        self.worlds = worlds
-        bank = load_bank(path, env.robot, needs=PUSH_KEYS, name="falls")
-        # Where commands are late, those from before still act.
-        late = ("target",) if worlds is not env and "target" in bank else ()
-        self.states = {key: bank[key] for key in (*STATE_KEYS, *late)}
+    def __init__(self, worlds: BankWorlds, path: Path):
+        self.worlds, self.env = worlds, worlds.base
+        bank = load_bank(path, self.env.robot, needs=PUSH_KEYS, name="falls")
+        keys = [key for key in (*STATE_KEYS, "target") if key in bank]
+        self.states = {key: bank[key] for key in keys}
         self.force, self.left = bank["push_force"], bank["push_left"][:, 0]
-        self.env, count = env, len(self.force)
+        env, count = self.env, len(self.force)
         velocity = torch.empty(count, 2)
         soon = self.left.clamp(max=last_choice(env.control_dt))[:, None] / env.mass
         for rows in torch.arange(count).split(env.num_envs):  # the last ones are filled up
@@ -101,9 +74,7 @@ class Falls:
 
     def begin(self, rows: Tensor) -> TensorDict:
         """Resets the worlds into the falls of these rows ``(N,)``."""
-        start = TensorDict({key: value[rows] for key, value in self.states.items()}, [len(rows)])
-        td: TensorDict = self.worlds.reset(TensorDict({"start": start}, [len(rows)]))
-        return td
+        return self.worlds.begin(self.states, rows)
 
     def like(self, heading: float, low: float, high: float) -> Tensor:
         """Rows of falls within 15 degrees of a heading and between two speeds [m/s]."""
@@ -161,7 +132,7 @@ def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> Landi
         wrench = falls.wrench(rows, step * env.control_dt)
         if wrench is not None:
             td["push", "wrench"] = wrench
-        td = falls.worlds.step(td)["next"]
+        td = falls.worlds.env.step(td)["next"]
         counted, diverged = since < AFTER, td["diverged"].squeeze(-1)
         hit = td["contact_force_peak"][:, struck].amax(-1).masked_fill(diverged, FORCE)
         shock = td["base_acceleration_peak"][:, 0].masked_fill(diverged, ACCELERATION)

@@ -1,17 +1,13 @@
 """Searches movements that get up, in the twin: tried from many starts, each with its own draw."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from hydra.utils import instantiate
-from tensordict import TensorDict
 from torch import Tensor
 
-from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
-from zfall.envs.make import make_env
-from zfall.evaluation.definitions import load_battery
+from zfall.envs.humanoid import STATE_KEYS
+from zfall.falling.bank_worlds import BankWorlds
 from zfall.falling.lying import load_lying
 from zfall.falling.rises import GOALS, Rises
 from zfall.falling.search import CrossEntropySearch
@@ -58,18 +54,9 @@ class LyingWorlds:
     """
 
     def __init__(self, count: int, bank: Path, *, seed: int = 0, control_dt: float = 0.04):
-        world = load_battery("twin").world or {}
-        base = instantiate(
-            {"_target_": "zfall.envs.humanoid.HumanoidEnv", **world["base_env"]},
-            num_envs=count,
-            control_dt=control_dt,
-            physics_dt=0.004,
-            _convert_="all",
-        )
-        table: Mapping[str, Mapping[str, object]] = {**world["commands"], **world["physics"]}
-        self.env = make_env(base, table)
-        self.base: HumanoidEnv = base
-        self.bank = load_lying(base.robot, bank)
+        self.worlds = BankWorlds(count, "twin", control_dt=control_dt)
+        self.env, self.base = self.worlds.env, self.worlds.base
+        self.bank = load_lying(self.base.robot, bank)
         self.env.set_seed(seed)
 
     def rows(self, rises: Rises, number: int) -> Tensor:
@@ -87,9 +74,7 @@ class LyingWorlds:
             goal: ``stand`` or ``belly``.
         """
         base, count = self.base, len(rows)
-        self.env.reset()  # the draws; then the state
-        start = TensorDict({key: self.bank[key][rows] for key in STATE_KEYS}, [count])
-        td = base.reset(TensorDict({"start": start}, [count]))
+        td = self.worlds.begin({key: self.bank[key] for key in (*STATE_KEYS, "target")}, rows)
         begin, each = self.bank["target"][rows], torch.arange(count)
         none = torch.empty(0)
         rises = Rises((), none, none, none, moves, ends.expand(count, -1))

@@ -186,7 +186,7 @@ def improve(
     edges = [0.0, *catches.speeds.tolist(), math.inf]
     attempts = product(headings, enumerate(pairwise(edges)))
     for heading, (j, (low, high)) in islice(attempts, begin, None):
-        falls.worlds.set_seed(search.seed)  # so that each attempt is the same by itself
+        falls.worlds.env.set_seed(search.seed)  # so that each attempt is the same by itself
         rows, place = falls.like(heading, low, high), (HEADINGS.index(heading), j)
         attempt = Attempt(heading, low, len(rows))
         if len(rows) >= search.trials:

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from rich.console import Console
 
+from zfall.falling.bank_worlds import BankWorlds
 from zfall.falling.banks import PUSH_KEYS, bank_control_dt, load_bank
 from zfall.falling.making.progress import Progress
 from zfall.falling.movements import (
@@ -16,7 +17,7 @@ from zfall.falling.movements import (
     save_catches,
 )
 from zfall.falling.pushed import check_world_name
-from zfall.falling.recorded_falls import Falls, falling_worlds
+from zfall.falling.recorded_falls import Falls
 from zfall.falling.search import CrossEntropySearch, check_bins, first_guess, improve
 from zfall.robots import DEFAULT
 from zfall.values import Count, Name, Positive, Seed, Whole
@@ -93,7 +94,7 @@ class SearchedCatches:
             catches = load_catches(DEFAULT, progress.found)
         count = self.search.candidates * self.search.trials
         control_dt = bank_control_dt(self.falls, name="falls")
-        worlds = falling_worlds(count, self.world, control_dt=control_dt)
+        worlds = BankWorlds(count, self.world, control_dt=control_dt)
         falls, begin = Falls(worlds, self.falls), len(progress.lines)
         for attempt in improve(catches, falls, self.search, self.headings, begin=begin):
             console.print(str(attempt), soft_wrap=True)
