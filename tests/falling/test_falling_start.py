@@ -10,6 +10,7 @@ from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.make import make_env
 from zfall.envs.terms.support import sole_corners
 from zfall.envs.transforms.actions import ActuatorDelay, JointPositionTarget
+from zfall.envs.transforms.estimation import JointVelocityKalmanFilter, MahonyFilter
 from zfall.envs.transforms.observations import ObservationVector
 from zfall.envs.transforms.starts import NoisyStart
 from zfall.falling.falling_start import FallingStart
@@ -170,6 +171,34 @@ def test_what_was_seen_in_a_fall_is_seen_again(make_task, seen_falls, share):
     check(after, new)
     for key in SEEN:
         assert (after[key][~new] == 3.0).all()
+
+
+def test_estimators_begin_with_what_they_had_made_of_the_fall(make_base, seen_falls):
+    """Gravity as it was 0.1 rad before, joints that seem to rest; elsewhere the truth."""
+    late = np.array([[0.0, 0.0998334, -0.9950042]] * 2, "f4")
+    rest = np.zeros((2, 20), "f4")
+    bank = seen_falls(measured_gravity=late, measured_joint_velocity=rest)
+    base = make_base(num_envs=40)
+    table = {
+        "falling": FallingStart(base, bank=bank, share=0.5),
+        "action": JointPositionTarget(base, scale=1.0),
+        "tilt": MahonyFilter(base, also=["projected_gravity"]),
+        "speed": JointVelocityKalmanFilter(base),
+    }
+    env = make_env(base, table)
+    env.set_seed(0)
+    td = env.reset()
+    falls = (td["com_velocity"][:, :1] > 0.5).expand(-1, 3)
+    assert 0 < falls[:, 0].sum() < 40
+    wanted = torch.where(falls, torch.from_numpy(late[:1]), td["projected_gravity"])
+    assert_close(td["measured", "projected_gravity"], wanted, atol=1e-5, rtol=0)
+    wanted = torch.where(falls[:, :1], 0.0, td["joint_velocity"])
+    assert_close(td["measured", "joint_velocity"], wanted)
+    td["action"] = torch.zeros(40, 20)
+    after = env.step(td)["next"]  # and goes on from there: the gyro turns both alike
+    behind = (after["measured", "projected_gravity"] - after["projected_gravity"]).norm(dim=-1)
+    assert (behind[falls[:, 0]] > 0.05).all()
+    assert (behind[~falls[:, 0]] < 0.02).all()
 
 
 def test_servos_follow_the_recorded_target_until_commands_arrive(make_task, seen_falls):

@@ -12,11 +12,12 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from zfall.envs.humanoid import STATE_KEYS
 from zfall.evaluation.battery import run_battery
 from zfall.evaluation.definitions import load_battery
-from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS, load_bank, save_bank
+from zfall.falling.banks import ESTIMATES, PUSH_KEYS, SEEN_KEYS, load_bank, save_bank
 from zfall.falling.modes import RECOVER
 from zfall.falling.recording import record_falls
 from zfall.policies import load_policy
 from zfall.robots import ZEROTH01
+from zfall.rotations import rotate_inverse
 
 HARD = {"points": ["torso"], "impulses": [1.5], "starts": 1}  # 24 directions
 
@@ -30,6 +31,21 @@ def test_what_is_recorded_is_read_back_from_a_bank(tmp_path):
     bank = load_bank(tmp_path / "falls.npz", ZEROTH01, needs=(*PUSH_KEYS, *SEEN_KEYS))
     for key, value in recording.states.items():
         assert torch.equal(bank[key], value.flatten(1))
+
+
+def test_in_the_twin_what_its_estimators_made_of_the_fall_is_recorded_too(tmp_path):
+    """0.12 s after I = 1.5 the trunk turns by radians per second, which they are late to see."""
+    policy = load_policy("twin_25hz")
+    recording = record_falls(policy.config.env, policy.actor, times=[0.12], world="twin", **HARD)
+    save_bank(tmp_path / "falls.npz", recording.states)
+    bank = load_bank(tmp_path / "falls.npz", ZEROTH01, needs=tuple(ESTIMATES))
+    up = -bank["measured_gravity"]
+    assert_close(up.norm(dim=-1), torch.ones(len(up)))
+    true = rotate_inverse(bank["base_orientation"], torch.tensor([[0.0, 0.0, 1.0]]))
+    off = torch.acos((up * true).sum(-1).clamp(-1, 1))
+    assert 0.02 < off.median() < 0.3
+    leans = torch.acos(torch.stack([up[:, 2], true[:, 2]]).clamp(-1, 1))
+    assert (leans[0] < leans[1]).float().mean() > 0.7
 
 
 def test_a_policy_that_never_gives_up_has_no_trigger():

@@ -15,6 +15,11 @@ from zfall.robots import Robot
 PUSH_KEYS = ("push_force", "push_left")  # [N; world], [s]
 # What a policy sees and the state does not contain.
 SEEN_KEYS = ("target", "feet_force", "com_velocity")
+# What the robot's estimators had made of it, by the name of the quantity.
+ESTIMATES = {
+    "measured_gravity": "projected_gravity",
+    "measured_joint_velocity": "joint_velocity",
+}
 RATE = "control_dt"
 _OF_JOINTS = ("joint_position", "joint_velocity", "target")
 
@@ -45,9 +50,10 @@ def load_bank(
         name: of the config key that names the file, for errors.
 
     Returns:
-        ``(K, D)`` float32 under ``STATE_KEYS``, and ``PUSH_KEYS`` and ``SEEN_KEYS`` that are there:
-        the force [N; world] of a push and the time for which it goes on [s]; the target of the
-        servos [rad], the forces on the feet [N], the velocity of the center of mass [m/s].
+        ``(K, D)`` float32 under ``STATE_KEYS``, and what is there of ``PUSH_KEYS``, ``SEEN_KEYS``
+        and ``ESTIMATES``: the force [N; world] of a push and the time for which it goes on [s]; the
+        target of the servos [rad], the forces on the feet [N], the velocity of the center of mass
+        [m/s]; as estimated, where gravity points and the speeds of the joints [rad/s].
 
     Raises:
         ValueError: if there is no such file, or it is of another kind or robot, or lacks a key or
@@ -55,7 +61,7 @@ def load_bank(
     """
     rule = f"{name} must be a file that recipes.falling.falls wrote"
     with arrays_of(path, rule) as file:
-        known = [key for key in (*STATE_KEYS, *PUSH_KEYS, *SEEN_KEYS) if key in file]
+        known = [key for key in (*STATE_KEYS, *PUSH_KEYS, *SEEN_KEYS, *ESTIMATES) if key in file]
         states = {key: torch.from_numpy(file[key]).float().flatten(1) for key in known}
     lacking = [key for key in (*STATE_KEYS, *needs) if key not in states]
     if lacking:

@@ -13,7 +13,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import STATE_KEYS, HumanoidEnv
 from zfall.envs.transforms.base_env import base_env_of, needs_env, streams_of
 from zfall.envs.transforms.values import per_world, reset_rows
-from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS, load_bank
+from zfall.falling.banks import ESTIMATES, PUSH_KEYS, SEEN_KEYS, load_bank
 from zfall.falling.files import own_file
 from zfall.fingerprints import reads_files
 from zfall.values import Count, FractionAboveZero
@@ -31,9 +31,11 @@ class FallingStart(Transform):
     ``(N, J)`` [rad], NaN in the other worlds; the forces on the feet; and the velocity of the
     center of mass, which sensors give at the begin of a physics step. Without them the first
     observation differs from all later ones, and the policy acts differently. Comes before what
-    reads these.
+    reads these. Where the bank has ``ESTIMATES``, estimators begin with what they had made of the
+    motion, not with the truth: in a fall they are late.
 
-    Keys: reads and writes ``("start", NAME)``; writes ``falling_impulse`` and ``falling_speed`` if
+    Keys: reads and writes ``("start", NAME)``; writes ``("start_measured", KEY)`` for estimators;
+    writes writes ``falling_impulse`` and ``falling_speed`` if
     ``pushed``, and ``feet_force`` and ``com_velocity`` at a reset.
 
     Args:
@@ -89,7 +91,8 @@ class FallingStart(Transform):
         rest = PUSH_KEYS if pushed else ()
         states = load_bank(path, env.robot, needs=(*PUSH_KEYS, *SEEN_KEYS) if pushed else ())
         seen = SEEN_KEYS if all(key in states for key in SEEN_KEYS) else ()
-        states = {key: states[key] for key in (*STATE_KEYS, *rest, *seen)}
+        self.estimates = {name: key for name, key in ESTIMATES.items() if name in states}
+        states = {key: states[key] for key in (*STATE_KEYS, *rest, *seen, *self.estimates)}
         self.share, self.pushed, self.alike = share, pushed, alike
         self.num_envs = env.num_envs
         self.sizes = {key: value.shape[-1] for key, value in states.items()}
@@ -139,6 +142,8 @@ class FallingStart(Transform):
         values = dict(zip(self.sizes, drawn, strict=True))
         for name in self.seen:
             self.seen[name] = torch.where(falls, values.pop(name), torch.nan)
+        for name, key in self.estimates.items():
+            tensordict["start_measured", key] = torch.where(falls, values.pop(name), torch.nan)
         target = values.pop("target", None)
         if target is not None:
             tensordict["start", "target"] = torch.where(falls, target, torch.nan)

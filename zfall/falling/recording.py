@@ -13,10 +13,11 @@ from zfall.envs.humanoid import STATE_KEYS
 from zfall.envs.terms.falls import body_contact
 from zfall.errors import check_number
 from zfall.evaluation.definitions import load_battery
-from zfall.falling.banks import PUSH_KEYS, SEEN_KEYS
+from zfall.falling.banks import ESTIMATES, PUSH_KEYS, SEEN_KEYS
 from zfall.falling.modes import KNEEL
 from zfall.falling.pushed import PUSH_TIME, SPREAD, pushed_worlds, world_of
 from zfall.terminal import QUIET
+from zfall.values import Key
 
 _KEYS = (*STATE_KEYS, *SEEN_KEYS)
 _EPS = 1e-6  # [s]
@@ -26,8 +27,8 @@ class Recording(NamedTuple):
     """What came of pushed trials.
 
     Attributes:
-        states: ``(K, ...)`` float32 under ``STATE_KEYS``, ``SEEN_KEYS`` and ``PUSH_KEYS``, as
-            ``save_bank`` takes them.
+        states: ``(K, ...)`` float32 under ``STATE_KEYS``, ``SEEN_KEYS``, ``PUSH_KEYS`` and those
+            of ``ESTIMATES`` that the env has, as ``save_bank`` takes them.
         trials: their number.
         fell: how many of them fell.
     """
@@ -90,6 +91,10 @@ def record_falls(
     )
     worlds = pushed_worlds(battery, env_cfg, seed=seed, servos=servos, control_arm=False)
     base, count = worlds.env.base_env, len(worlds.trials)
+    there = worlds.env.observation_spec.keys(True)
+    estimated = {("measured", key): name for name, key in ESTIMATES.items()}
+    seen: dict[Key, str] = {key: key for key in _KEYS}  # where it is, and its name in the bank
+    seen |= {key: name for key, name in estimated.items() if key in there}
     moment = _AtTrigger(base.num_envs) if times is None else _AtTimes(times, base.control_dt)
     fell, moments = torch.zeros(base.num_envs, dtype=torch.bool), []
     force = torch.from_numpy(worlds.trials["force_n"].to_numpy()[worlds.rows]).float()
@@ -102,7 +107,7 @@ def record_falls(
         if not kept.any():
             continue
         remains = (duration - since_push).clamp_min(0.0)[:, None]
-        values = [td[key].flatten(1) for key in _KEYS]
+        values = [td[key].flatten(1) for key in seen]
         state = torch.cat([*values, applied * (remains > _EPS), remains], -1)
         moments.append(torch.where((kept & ~fell)[:, None], state, torch.nan))
     if not moments:
@@ -112,8 +117,8 @@ def record_falls(
         states = states[fell[:count]]
     table = states.flatten(0, 1)
     table = table[~table.isnan().any(-1)]
-    parts = table.split([*(td[key][0].numel() for key in _KEYS), 3, 1], -1)
-    arrays = dict(zip((*_KEYS, *PUSH_KEYS), parts, strict=True))
+    parts = table.split([*(td[key][0].numel() for key in seen), 3, 1], -1)
+    arrays = dict(zip((*seen.values(), *PUSH_KEYS), parts, strict=True))
     arrays["base_position"][:, :2] = 0.0
     return Recording(arrays, count, int(fell[:count].sum()))
 

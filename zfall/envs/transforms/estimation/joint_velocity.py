@@ -12,6 +12,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.on_robot import Known, OnRobot, at_begin, seen
 from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.estimation.first import first_estimate
 from zfall.envs.transforms.estimation.steady import steady_update
 from zfall.envs.transforms.observations.measured import (
     check_not_measured,
@@ -76,7 +77,8 @@ class JointVelocityKalmanFilter(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         angle = read_measured(tensordict_reset, "joint_position")
-        start = torch.stack([angle, tensordict_reset["joint_velocity"]], -1)
+        speed = first_estimate(tensordict, tensordict_reset, "joint_velocity")
+        start = torch.stack([angle, speed], -1)
         self.state = torch.where(reset_rows(tensordict, self)[:, None, None], start, self.state)
         return tensordict_reset.set(("measured", "joint_velocity"), self.state[..., 1].clone())
 

@@ -14,6 +14,7 @@ from torchrl.envs import Transform
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.on_robot import Known, OnRobot, at_begin, seen
 from zfall.envs.transforms.base_env import base_env_of, needs_env
+from zfall.envs.transforms.estimation.first import first_estimate
 from zfall.envs.transforms.estimation.steady import steady_update
 from zfall.envs.transforms.estimation.tilt_laws import OnSphere, PerAxis, TiltLaw
 from zfall.envs.transforms.observations.measured import (
@@ -131,7 +132,7 @@ class TiltKalmanFilter(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         rows = reset_rows(tensordict, self)[:, None]
-        start = self.law.begin(-tensordict_reset["projected_gravity"])
+        start = self.law.begin(-first_estimate(tensordict, tensordict_reset, "projected_gravity"))
         rate = self._rate(tensordict_reset)
         self.state = torch.where(rows[..., None], start, self.state)
         self.rate = torch.where(rows, rate, self.rate)
