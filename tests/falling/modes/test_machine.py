@@ -200,6 +200,19 @@ def test_a_predicted_fall_takes_the_place_of_the_bounds(make_base):
     assert td["mode"].argmax(-1).tolist() == [RECOVER, KNEEL]
 
 
+def test_nothing_foreseen_a_robot_that_leans_too_far_is_lost(make_base):
+    env = make_base(num_envs=3)
+    leans = [0.9, 1.1, 1.1]
+    modes = []
+    for lost in (1.0, None):
+        machine = ModeMachine(env, probability=0.7, hold=0.04, lost=lost)
+        td = machine._reset(TensorDict(batch_size=[3]), TensorDict(batch_size=[3]))
+        after = step(leans, [0.0] * 3, [False] * 3, env)
+        after["fall_probability"] = torch.zeros(3, 1)
+        modes.append(machine._step(td, after)["mode"].argmax(-1).tolist())
+    assert modes == [[0, 1, 1], [0, 0, 0]]
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [

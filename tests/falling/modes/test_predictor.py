@@ -41,3 +41,21 @@ def test_the_transform_begins_anew_with_each_episode(make_base, network):
     short = torch.sigmoid(network.logits(sequence[2:].transpose(0, 1))[0][:, -1])
     expected = torch.stack([whole[0], short[1], whole[2]])
     torch.testing.assert_close(td["fall_probability"][:, 0], expected)
+
+
+def test_what_lies_is_no_fall_to_come_and_who_recovers_anew_begins_anew(make_base, network):
+    """Modes: recover, recover; kneel, recover; recover. The second world begins at the last step."""
+    env = make_base(num_envs=2)
+    keys = ["projected_gravity", "base_angular_velocity"]
+    predictor = FallPredictor(env, network=network, keys=keys)
+    sequence, said = torch.randn(3, 2, 6), []
+    for step, kneels in enumerate([(0, 0), (0, 1), (0, 0)]):
+        before = TensorDict({"mode": torch.eye(3)[list(kneels)]}, [2])
+        measured = dict(zip(keys, sequence[step].split(3, -1), strict=True))
+        td = predictor._step(before, TensorDict(measured, batch_size=[2]))
+        said.append(td["fall_probability"][:, 0])
+    assert said[1][1] == 0
+    assert said[1][0] > 0
+    whole = torch.sigmoid(network.logits(sequence.transpose(0, 1))[0][:, -1])
+    short = torch.sigmoid(network.logits(sequence[2:].transpose(0, 1))[0][:, -1])
+    torch.testing.assert_close(said[2], torch.stack([whole[0], short[1]]))

@@ -1,5 +1,6 @@
 """The mode machine: recover, kneel, stable and, where the table says so, rise."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -104,9 +105,10 @@ class ModeMachine(Transform):
 
     Danger is a tilt above ``angle`` or an angular velocity above ``angular_velocity``. With
     ``probability`` it is a predicted fall instead; this needs a ``FallPredictor`` earlier in the
-    table. Rest is ``resting_kneel``. The joints of an exploring policy never rest: training needs
-    wide bounds, and ``StableHold`` then stops the joints. The way back to RECOVER is standing: no
-    danger of either kind, and no contact but the feet's.
+    table. With ``lost`` so large a tilt is danger, too, whatever was predicted. Rest is
+    ``resting_kneel``. The joints of an exploring policy never rest: training needs wide bounds,
+    and ``StableHold`` then stops the joints. The way back to RECOVER is standing: no danger of
+    either kind, and no contact but the feet's.
 
     With ``rise`` there is a fourth mode, in which a ``RiseReference`` gets the robot up. Rest is
     then any posture in which the robot moves as little as in a ``resting_kneel``, lying as well.
@@ -129,6 +131,8 @@ class ModeMachine(Transform):
         rise: time of rest in STABLE after which it gets up [s]; needs ``back``; ``None``: never.
         probability: bound of ``fall_probability`` that replaces the two above; ``None``: they
             count.
+        lost: tilt that nobody comes back from [rad]; ``None``: a fall that is not predicted stays
+            in RECOVER.
         initial: mode at the beginning of an episode.
 
     Raises:
@@ -158,6 +162,7 @@ class ModeMachine(Transform):
         back: Positive | None = None,
         rise: Positive | None = None,
         probability: Fraction | None = None,
+        lost: Positive | None = None,
         initial: Annotated[str, one_of(*MODES)] = "recover",
     ):
         super().__init__(in_keys=["base_orientation"], out_keys=["mode"])
@@ -173,12 +178,14 @@ class ModeMachine(Transform):
         times = {name: time for name, time in given.items() if time is not None}
         bounds = {"angle": angle, "angular_velocity": angular_velocity}
         rests = {"rest_speed": rest_speed, "rest_joint_speed": rest_joint_speed}
-        for name, value in (bounds | times | rests).items():
+        tilts = {} if lost is None else {"lost": lost}
+        for name, value in (bounds | times | rests | tilts).items():
             if not value > 0:
                 raise ValueError(f"{name} must be positive, got {value}.")
         steps = {name: max(1, round(time / env.control_dt)) for name, time in times.items()}
         self.rule = ModeRule(**steps)
         self.bounds, self.probability = bounds, probability
+        self.lost = math.inf if lost is None else lost
         self._resting = partial(
             resting_kneel, robot=env.robot, speed=rest_speed, joint_speed=rest_joint_speed
         )
@@ -198,6 +205,7 @@ class ModeMachine(Transform):
         calm = ~danger & ~body_contact(tensordict, next_tensordict).squeeze(-1)
         if self.probability is not None:
             danger = next_tensordict["fall_probability"].squeeze(-1) > self.probability
+            danger |= lean > self.lost
             calm &= ~danger
         resting = self._resting(tensordict, next_tensordict).squeeze(-1)
         if self.rule.rise is not None:

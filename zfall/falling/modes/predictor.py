@@ -20,7 +20,8 @@ class FallPredictor(Transform):
 
     Keys: reads ``keys``, measured where sensing comes earlier in the table; writes
     ``fall_probability`` ``(N, 1)``, 0 after a reset. The network's memory is zero at the begin of
-    an episode.
+    an episode. It knows nothing of robots that lie: where the step began in another ``mode`` than
+    RECOVER the probability is 0, and the memory begins anew.
 
     Args:
         env: the base env.
@@ -58,6 +59,10 @@ class FallPredictor(Transform):
             )
         with torch.no_grad():
             probability, self.memory = self.network(measured, self.memory)
+        if "mode" in tensordict.keys():
+            away = tensordict["mode"][:, :1] == 0
+            probability = torch.where(away, 0.0, probability)
+            self.memory = torch.where(away, 0.0, self.memory)
         return next_tensordict.set("fall_probability", probability)
 
     def _reset(
