@@ -6,9 +6,12 @@ import pandas as pd
 import pytest
 import torch
 
+from zfall.configs import compose_config
+from zfall.evaluation.battery import battery_env
 from zfall.evaluation.definitions import load_battery
 from zfall.evaluation.plans import plan_pushes, plan_trials
 from zfall.falling.kneel_battery import Kneel
+from zfall.falling.modes import RISE, STABLE, ModeMachine, ModeState
 from zfall.robots import ZEROTH01
 
 
@@ -73,3 +76,21 @@ def test_on_the_twin_it_is_the_same_battery_in_the_twin_s_hardware():
     later, twin = load_battery("kneel_later"), load_battery("kneel_twin")
     assert twin.world == load_battery("twin").world
     assert replace(twin, name="kneel_later", world=None) == later
+
+
+def test_in_it_nobody_gets_up_again():
+    """From a stable kneel ``push_to_stand`` rises after 0.04 s, elsewhere; here it stays."""
+    cfg = compose_config(["env=push_to_stand", "num_envs=64"]).env
+    battery = load_battery("kneel_twin", impulses=[1.0], starts=1)
+    env, *_ = battery_env(battery, cfg, 64)
+    machine = next(t for t in env.transform if isinstance(t, ModeMachine))
+    state = ModeState(torch.tensor([STABLE]), torch.tensor([0]), torch.tensor([0]))
+    yes, no = torch.tensor([True]), torch.tensor([False])
+    modes = []
+    for _ in range(2):
+        rule, after = machine.rule, state
+        for _ in range(3):
+            after = rule.advance(after, no, yes, no)
+        modes.append(int(after.mode))
+        Kneel().prepare(battery, pd.DataFrame(), env)
+    assert modes == [RISE, STABLE]

@@ -1,12 +1,14 @@
 """The kind of battery ``kneel``: how falls end that nobody recovers from."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from torchrl.envs import TransformedEnv
 
 from zfall.evaluation.definitions import Battery, check_single, check_unused
 from zfall.evaluation.kinds import Figures
@@ -22,6 +24,7 @@ from zfall.falling.kneel_outcomes import (
     summarize_kneel,
     torso_or_head,
 )
+from zfall.falling.modes import ModeMachine
 from zfall.terminal import Sheet
 
 SMALL = 0.55  # pushes of the list up to it are to be recovered from
@@ -29,7 +32,10 @@ LARGE = 1.5  # up to it, they are to end in a kneel
 
 
 class Kneel:
-    """A grid of directions x sizes x starts, and ``listed`` forces; one push in each trial."""
+    """A grid of directions x sizes x starts, and ``listed`` forces; one push in each trial.
+
+    Nobody gets up: a mode machine with ``rise`` keeps the robot where it came to rest.
+    """
 
     independent: ClassVar[bool] = True
     baseline_task: ClassVar[str] = "push_to_kneel"
@@ -65,6 +71,12 @@ class Kneel:
         trials = numbered(rows, impulse_unit, seed)
         trials["listed"] = trials["trial"] >= grid
         return trials
+
+    def prepare(self, battery: Battery, trials: pd.DataFrame, env: TransformedEnv) -> None:
+        """Takes RISE out of the mode machine."""
+        for transform in env.transform:
+            if isinstance(transform, ModeMachine):
+                transform.rule = replace(transform.rule, rise=None)
 
     def columns(self, pushes: Pushes, outcomes: Outcomes) -> Mapping[str, NDArray[np.generic]]:
         """None: those of ``Kneeling`` are measured in every battery."""
