@@ -1,5 +1,7 @@
 """Worlds made wider, and the table of what becomes of a policy in them."""
 
+import math
+
 import pandas as pd
 import pytest
 
@@ -27,6 +29,33 @@ def test_a_world_is_widened_about_its_middle(width, bounds, std):
     assert params["foot_friction"] == {"uniform": pytest.approx(bounds), "shared": True}
     assert found["sensors"]["noise"] == {"_target_": "a.B", "std": {"joint_position": std}}
     assert WORLD["sensors"]["noise"]["std"] == {"joint_position": 0.01}
+
+
+def test_offsets_and_slopes_may_be_negative_and_other_distributions_are_widened_too():
+    params = {
+        "slope": {"uniform": [-0.03, 0.03]},
+        "joint_zero_offset": {"uniform": [-0.02, 0.02]},
+        "com_offset": {"normal": [0.1, 0.003]},
+        "joint_armature": {"log_uniform": [0.5, 2.0]},
+        "payload": {"uniform": [0.0, 0.2]},
+    }
+    noise = {"noise": {"uniform": {"joint_position": 0.01}}}
+    found = widened({"physics": {"params": params}, "sensors": noise}, 2.0)
+    assert found["sensors"]["noise"] == {"uniform": {"joint_position": 0.02}}
+    found = found["physics"]["params"]
+    assert found["slope"]["uniform"] == pytest.approx([-0.06, 0.06])
+    assert found["joint_zero_offset"]["uniform"] == pytest.approx([-0.04, 0.04])
+    assert found["com_offset"]["normal"] == pytest.approx([0.1, 0.006])
+    assert found["joint_armature"]["log_uniform"] == pytest.approx([0.25, 4.0])
+    assert found["payload"]["uniform"] == pytest.approx([0.0, 0.3])
+    far = widened({"physics": {"params": params}}, 100.0)["physics"]["params"]
+    assert far["slope"]["uniform"] == pytest.approx([-math.pi / 4, math.pi / 4])
+
+
+@pytest.mark.parametrize("name", ["zeroth_sweep", "twin"])
+def test_a_width_of_1_is_the_world_as_it_is(name):
+    world = load_battery(name).world
+    assert load_battery(name, world=widened(world, 1.0)).world == world
 
 
 @pytest.mark.parametrize("width", [0.0, 1.0, 2.0])

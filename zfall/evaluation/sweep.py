@@ -1,38 +1,60 @@
 """How recovery falls off with the width of what is randomised."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from zfall.evaluation.definitions import Battery
 from zfall.evaluation.statistics import summarize
+from zfall.simulation.parameters import ANY_NUMBER, RANGES
 
-LEAST = 0.02  # bound of a factor or a friction, which must stay positive
+LEAST = 0.02  # smallest value of a factor or a friction, which must stay positive
 
 
-def widened(world: Any, width: float) -> Any:
+def widened(world: Any, width: float, name: str = "") -> Any:
     """A battery's world with all that is drawn in it ``width`` times as wide.
 
-    Bounds under ``uniform`` move away from their middle, ``[c - width r, c + width r]``, the lower
-    one to 0.02 at least; standard deviations under ``std`` are multiplied. All else stays.
+    Bounds under ``uniform`` move away from their middle, ``[c - width r, c + width r]``, those
+    under ``log_uniform`` likewise in their logarithm, as far as the physics bears; a parameter that
+    cannot be negative stays at least 0.02. Standard deviations under ``std`` and ``normal`` are
+    multiplied. All else stays, delays and backlash among them.
 
     Args:
         world: a table of it.
         width: 0 draws nothing, 1 is the world as it is.
+        name: of the table, which is that of a parameter.
     """
     if not isinstance(world, Mapping):
         return world
     changed: dict[str, Any] = {}
     for key, value in world.items():
-        if key == "uniform":
-            middle, reach = 0.5 * (value[0] + value[1]), 0.5 * width * (value[1] - value[0])
-            changed[key] = [max(LEAST, middle - reach), middle + reach]
-        elif key == "std":
-            changed[key] = {name: width * std for name, std in value.items()}
+        if key in ("uniform", "std") and isinstance(value, Mapping):  # of each quantity
+            changed[key] = {quantity: width * size for quantity, size in value.items()}
+        elif key == "uniform":
+            changed[key] = _cut(_spread(value, width), value, name)
+        elif key == "log_uniform":
+            changed[key] = np.exp(_spread(np.log(value), width)).round(12).tolist()
+        elif key == "normal":
+            changed[key] = [value[0], width * value[1]]
         else:
-            changed[key] = widened(value, width)
+            changed[key] = widened(value, width, key)
     return changed
+
+
+def _spread(bounds: Sequence[float], width: float) -> list[float]:
+    low, high = bounds
+    middle, reach = 0.5 * (low + high), 0.5 * width * (high - low)
+    return [round(middle - reach, 12), round(middle + reach, 12)]
+
+
+def _cut(bounds: list[float], given: Sequence[float], name: str) -> list[float]:
+    """Bounds within what the physics bears of a parameter."""
+    least, most = RANGES.get(name, ANY_NUMBER)
+    if least >= 0:
+        least = max(least, min(LEAST, given[0]))
+    return [max(least, bounds[0]), min(most, bounds[1])]
 
 
 def sweep_table(battery: Battery, trials: Mapping[float, pd.DataFrame]) -> pd.DataFrame:
