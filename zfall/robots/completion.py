@@ -85,6 +85,7 @@ def complete(spec: mujoco.MjSpec, robot: "Robot", add: Additions) -> None:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos are stiff
     spec.compiler.discardvisual = True  # of no use to the physics; pictures keep it
     _add_floor(spec)
+    _let_feet_decide(spec, add)
     _add_camera(spec, add)
     _add_sensors(spec, robot.feet, add)
     _add_stand(spec, model, add)
@@ -129,6 +130,21 @@ def _add_floor(spec: mujoco.MjSpec) -> None:
         planes[0].name = "floor"
         if before:
             follow(spec, mujoco.mjtObj.mjOBJ_GEOM, {before: "floor"})
+
+
+def _let_feet_decide(spec: mujoco.MjSpec, add: Additions) -> None:
+    """Gives the feet a higher priority than the floor.
+
+    Without it MuJoCo takes the larger friction of the two, which stays what it was, and a slippery
+    foot would not slip.
+    """
+    floor = spec.geom("floor")
+    for sole in add.soles:
+        for geom in spec.body(sole.link).geoms:
+            if geom.priority <= floor.priority:
+                geom.friction = np.maximum(geom.friction, floor.friction)
+                geom.condim = max(geom.condim, floor.condim)
+                geom.priority = floor.priority + 1
 
 
 def _add_camera(spec: mujoco.MjSpec, add: Additions) -> None:

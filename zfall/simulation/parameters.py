@@ -111,7 +111,8 @@ class PhysicsParameters:
         if servo_dynamics:
             ones["load_friction"], zeros["supply_resistance"] = size, 1
         self.values = {name: torch.ones(num_envs, width) for name, width in ones.items()}
-        self.values["floor_friction"] *= float(model.geom("floor").friction[0])
+        self._floor = np.float32(model.geom("floor").friction[0])  # nominal
+        self.values["floor_friction"] *= float(self._floor)
         self.values["foot_friction"] *= float(model.geom_friction[self._foot[0], 0])
         self.values |= {name: torch.zeros(num_envs, width) for name, width in zeros.items()}
         self.gravity: Tensor | None = None  # its direction (N, 3) if any floor is not level
@@ -198,7 +199,9 @@ class PhysicsParameters:
             nominal("body_ipos")[:, self._link] += shift
         if names & {"floor_friction", "foot_friction"}:
             friction = nominal("geom_friction")
-            friction[:, self._not_foot, 0] = value("floor_friction")  # the larger of two counts
+            floor = value("floor_friction")  # of all but the feet: the larger of two counts
+            as_it_is = friction[:, self._not_foot, 0]
+            friction[:, self._not_foot, 0] = np.where(floor == self._floor, as_it_is, floor)
             friction[:, self._foot, 0] = value("foot_friction")
         if "joint_friction_loss" in names:
             fields |= self._servo_fields.friction(value("joint_friction_loss"))

@@ -161,15 +161,19 @@ class Player:
 
         Args:
             values: by name, of every element of a parameter; but ``slope`` is how far the floor
-                falls to the front [rad], ``payload`` what the chest carries [kg].
+                falls to the front [rad], ``payload`` what the chest carries [kg], or the torso
+                of a robot without that point.
 
         Raises:
             ValueError: on a value that the physics or the servos cannot have.
         """
         params = {name: self._nominal[name].clone() for name in {*self._moved, *values}}
-        columns = {"slope": 0, "payload": self.points.index("chest")}
         for name, value in values.items():
-            params[name][:, columns.get(name, slice(None))] = value
+            column: int | slice = slice(None)
+            if name in ("slope", "payload"):
+                loaded = self.points.index("chest" if "chest" in self.points else "torso")
+                column = 0 if name == "slope" else loaded
+            params[name][:, column] = value
         td = TensorDict(params, batch_size=[self.num_envs])
         self.env.base_env.set_physics_params(td)
         self._moved = dict(values)
