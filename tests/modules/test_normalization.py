@@ -1,6 +1,7 @@
 """Running statistics against NumPy's."""
 
 import numpy as np
+import pytest
 import torch
 from torch.testing import assert_close
 
@@ -27,3 +28,8 @@ def test_forward_does_not_move_the_statistics():
 
 def test_values_are_clipped():
     assert ObservationNormalizer(1, clip=2.0)(torch.tensor([[100.0]])).item() == 2.0
+
+
+def test_an_observation_of_another_size_is_refused():
+    with pytest.raises(ValueError, match="observation must have 3 numbers, got 6"):
+        ObservationNormalizer(3).update(torch.zeros(4, 6))

@@ -13,12 +13,19 @@ from tensordict.nn import (
 )
 from torch import nn
 from torch.testing import assert_close
-from torchrl.modules import GRUModule, IndependentNormal, ProbabilisticActor, set_recurrent_mode
+from torchrl.modules import (
+    GRUModule,
+    IndependentNormal,
+    ProbabilisticActor,
+    ValueOperator,
+    set_recurrent_mode,
+)
 from torchrl.objectives import LossModule
 
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.ppo import PenalizedPPOLoss
 from zfall.modules.actors import normalizer_of
+from zfall.modules.normalization import ObservationNormalizer
 from zfall.training.exploration import exploration_of
 from zfall.training.learner import Learner
 from zfall.training.metrics import batch_metrics
@@ -240,7 +247,7 @@ def test_fixed_deviation_and_no_normaliser(compose_config):
     assert normalizer_of(learner.actor) is None
     assert normalizer_of(learner.critic) is None
     std = learner.policy.get_dist(learner.carrier).variance.sqrt()
-    assert_close(std, torch.full_like(std, 0.1))
+    assert_close(std, torch.full_like(std, learner.cfg.actor.std))
 
 
 def test_a_loss_that_is_no_number_ends_the_training(compose_config):
@@ -721,12 +728,103 @@ def test_an_actor_of_unknown_variance_and_entropy_learns(compose_config):
     assert learner.learn(batch)["loss_objective"] != 0.0
 
 
+def critic_of_the_observation(observation_spec):
+    """A critic of one's own, which sees what the policy sees."""
+    normalizer = ObservationNormalizer(observation_spec["observation"].shape[-1])
+    net = nn.Sequential(normalizer, nn.Linear(len(normalizer.mean), 1))
+    return ValueOperator(net, in_keys=["observation"])
+
+
+def test_a_critic_may_see_what_the_policy_sees(compose_config):
+    """Without another vector in the env; both normalisers count all that was seen."""
+    learner = Learner(
+        compose_config("num_envs=4", "rollout_steps=4", "~critic", "symmetry=none",
+                       "+critic={_target_: tests.training.test_learner.critic_of_the_observation}",
+                       "env.transforms.observation_critic=null", "statistics_batches=0",
+                       "~env.training_only.observation_critic")
+    )  # fmt: skip
+    learner.learn(learner.collect())
+    for network in (learner.actor, learner.critic):
+        assert normalizer_of(network).count == 16
+    assert_close(normalizer_of(learner.critic).mean, normalizer_of(learner.actor).mean)
+
+
+class Scribe(LossModule):
+    """A loss that writes into what it is given, as the actor does, and looks what is there."""
+
+    found: ClassVar[list[bool]] = []
+    in_keys = ["observation"]
+
+    def __init__(self, actor, name):
+        super().__init__()
+        self.out_keys = [f"loss_{name}"]
+
+    def forward(self, tensordict):
+        Scribe.found.append("scribbled" in tensordict.keys())
+        tensordict["scribbled"] = tensordict["observation"]
+        return TensorDict({self.out_keys[0]: tensordict["observation"].mean() * 0.0})
+
+
+def test_what_a_loss_writes_into_its_minibatch_no_other_sees(compose_config):
+    table = "{_target_: tests.training.test_learner.Scribe, name: %s}"
+    losses = [f"+auxiliary_losses.{name}={table % name}" for name in ("one", "two")]
+    learner = Learner(compose_config("num_envs=4", "rollout_steps=4", "symmetry=none", *losses))
+    learner.learn(learner.collect())
+    assert Scribe.found
+    assert not any(Scribe.found)
+
+
+class Seer(LossModule):
+    """A loss that keeps what it is given of a quantity that no network sees, and of a flag."""
+
+    seen: ClassVar[list[TensorDict]] = []
+    out_keys = ["loss_seer"]
+    in_keys = ["base_linear_velocity", ("next", "base_linear_velocity"), "diverged", "observation"]
+    invariant_keys = ("diverged",)
+
+    def __init__(self, actor):
+        super().__init__()
+
+    def forward(self, tensordict):
+        Seer.seen.append(tensordict.clone())
+        return TensorDict({"loss_seer": tensordict["observation"].mean() * 0.0})
+
+
+def test_what_an_own_loss_reads_is_mirrored_with_what_the_networks_see(compose_config):
+    """The velocity of mirrored samples has its sideways part turned round, in both steps."""
+    own = "+auxiliary_losses.own={_target_: tests.training.test_learner.Seer}"
+    learner = Learner(
+        compose_config("num_envs=8", "rollout_steps=4", "epochs=1", "minibatches=1",
+                       "symmetry=augmentation", "auxiliary_share=1.0", own)
+    )  # fmt: skip
+    batch = learner.collect()
+    learner.learn(batch)
+    (seen,) = Seer.seen
+    mirrored = seen["mirrored"]
+    assert 0 < mirrored.sum() < 32
+    for place in ("base_linear_velocity", ("next", "base_linear_velocity")):
+        here = torch.where(
+            mirrored[:, None], seen[place] * torch.tensor([1.0, -1.0, 1.0]), seen[place]
+        )
+        there = batch[place].reshape(-1, 3)
+        off = torch.cdist(here, there, compute_mode="donot_use_mm_for_euclid_dist").amin(1)
+        assert off.max() == 0
+        assert torch.cdist(seen[place][mirrored], there).amin(1).max() > 0
+
+
 class LossOfItsOwn(LossModule):
     """With a layer that nothing would train."""
 
     def __init__(self, actor):
         super().__init__()
         self.actor, self.decoder = actor, torch.nn.Linear(3, 1)
+
+
+class Silent(LossModule):
+    """It does not say what it reads."""
+
+    def __init__(self, actor):
+        super().__init__()
 
 
 FAULTS = [
@@ -739,6 +837,10 @@ FAULTS = [
      "a mirrored observation must be one vector"),
     (["+auxiliary_losses.own={_target_: tests.training.test_learner.LossOfItsOwn}"],
      "auxiliary_losses.own must have no parameters but the actor's and the critic's, .* its decoder.weight"),
+    (["+auxiliary_losses.own={_target_: tests.training.test_learner.Silent}"],
+     "auxiliary_losses.own must have in_keys, what it reads of a minibatch; got none"),
+    (["+auxiliary_losses.loss={_target_: zfall.losses.caps.CAPSLoss}"],
+     "auxiliary_losses.loss must have another name"),
     (["+auxiliary_losses.own={_target_: nowhere.Loss}"],
      r"auxiliary_losses.own._target_ must name .* got nowhere.Loss: No module named 'nowhere'"),
     (["+auxiliary_losses.own=3"], "auxiliary_losses.own must be a table.* got 3"),

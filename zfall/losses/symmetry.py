@@ -113,8 +113,8 @@ class SymmetryAugmentation(nn.Module):
     bool, by which ``PenalizedPPOLoss`` leaves images out of the divergence.
 
     Args:
-        networks: actor and critic, and losses that show a teacher what it ``sees``.
-        mirrors: of ``action`` and all that these see.
+        networks: actor and critic.
+        mirrors: of ``action``, all that these see, and all that losses read of the world.
         share: part of the samples that are mirrored, each for itself.
 
     Raises:
@@ -147,7 +147,7 @@ class SymmetryAugmentation(nn.Module):
     ) -> "SymmetryAugmentation":
         """With the mirrors of the task, see ``zfall.training.task_facts``."""
         networks = list(networks)
-        keys = [*seen_by(networks), "action"]
+        keys = dict.fromkeys([*seen_by(networks), *task.read_by_losses, "action"])
         return cls(networks, {key: task.mirror(key) for key in keys}, **values)
 
     @torch.no_grad()

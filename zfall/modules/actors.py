@@ -5,7 +5,7 @@ from typing import Annotated, Any, Unpack, cast
 
 import torch
 from tensordict import NestedKey, unravel_key
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite
 from torchrl.modules import ProbabilisticActor
@@ -205,6 +205,30 @@ def normalizer_of(module: nn.Module) -> ObservationNormalizer | None:
     """The observation normaliser inside an actor or a critic, if it has one."""
     parts = (part for part in module.modules() if isinstance(part, ObservationNormalizer))
     return next(parts, None)
+
+
+def normalizers_of(network: nn.Module) -> dict[ObservationNormalizer, NestedKey]:
+    """All observation normalisers inside a network, and what each of them sees.
+
+    That is what the smallest ``TensorDictModule`` around it reads, one vector.
+
+    Raises:
+        ValueError: if it reads more.
+    """
+    found: dict[ObservationNormalizer, NestedKey] = {}
+    for part in network.modules():  # from the outside to the inside
+        if not isinstance(part, TensorDictModuleBase):
+            continue
+        for inner in part.modules():
+            if isinstance(inner, ObservationNormalizer):
+                found[inner] = part.in_keys[0] if len(part.in_keys) == 1 else ()
+    for normalizer, key in found.items():
+        if key == ():
+            raise ValueError(
+                "a normaliser must lie in a TensorDictModule that reads one vector, got one of "
+                f"size {len(normalizer.mean)} in a module that reads several."
+            )
+    return found
 
 
 def recurrent_keys(module: nn.Module) -> list[NestedKey]:

@@ -68,7 +68,14 @@ class ObservationNormalizer(nn.Module):
         Args:
             observation: of the batch.
             moments: gives those of its rows, or of more of which these are a part.
+
+        Raises:
+            ValueError: on another size.
         """
+        if observation.shape[-1] != len(self.mean):
+            raise ValueError(
+                f"observation must have {len(self.mean)} numbers, got {observation.shape[-1]}."
+            )
         count, mean, variance = moments(observation.reshape(-1, len(self.mean)).double())
         total = self.count + count
         share = count / total

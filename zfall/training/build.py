@@ -1,11 +1,11 @@
 """Everything that one training is made of, built from its config before it begins."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from tensordict import NestedKey
+from tensordict import NestedKey, unravel_key
 from tensordict.nn import TensorDictSequential
 from torchrl.data import Composite
 from torchrl.envs import TransformedEnv
@@ -82,17 +82,22 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
     for name, config in cfg.auxiliary_losses.items():
         if config is None:
             continue
+        if name in ("loss", "augmentation"):  # whose names they have in a checkpoint
+            raise ValueError(f"auxiliary_losses.{name} must have another name, {name} is taken.")
         place = f"auxiliary_losses.{name}"
         auxiliary[place] = build_loss(config, place, actor, task)
     augmentation = None
     if cfg.augmentation:
-        # What a teacher is shown is mirrored like what the networks see.
-        teaching = {place: loss for place, loss in auxiliary.items() if hasattr(loss, "sees")}
-        for place, loss in teaching.items():
-            with named(f"{place}.sees"):
-                task.mirror(loss.sees)
-        seeing = [actor, critic, *teaching.values()]
-        augmentation = build_loss(cfg.augmentation, "augmentation", seeing, task)
+        memory = [key for network in (actor, critic) for key in recurrent_keys(network)]
+        read: dict[NestedKey, None] = {}  # by losses: mirrored like what the networks see
+        for place, loss in auxiliary.items():
+            seen = [key for key in observed_by(loss, env) if key not in memory]
+            with named(place):
+                for key in seen:
+                    task.mirror(key)
+            read |= dict.fromkeys(seen)
+        task = replace(task, read_by_losses=tuple(read))
+        augmentation = build_loss(cfg.augmentation, "augmentation", [actor, critic], task)
         for place, loss in auxiliary.items():
             key = getattr(loss, "neighbour_key", None)
             if key not in (None, "observation_neighbour"):
@@ -103,6 +108,17 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
     losses = Losses(ppo_loss(cfg.loss, actor, critic), auxiliary, augmentation, task.teachers)
     check_losses(losses.by_place, [*actor.parameters(), *critic.parameters()])
     return losses
+
+
+def observed_by(loss: Any, env: TransformedEnv) -> list[NestedKey]:
+    """What a loss reads of the world, of a step or of the next; not its ``invariant_keys``."""
+    there = env.observation_spec.keys(True, True)
+    here = [
+        unravel_key(key[1:]) if isinstance(key, tuple) and key[0] == "next" else key
+        for key in getattr(loss, "in_keys", ())  # ``check_losses`` misses them
+    ]
+    same = ("is_init", *getattr(loss, "invariant_keys", ()))
+    return [key for key in dict.fromkeys(here) if key in there and key not in same]
 
 
 def followers(critic: Any, losses: Losses) -> list[Any]:
@@ -129,16 +145,20 @@ def build_advantage(cfg: DictConfig, critic: Any) -> GAE:
 
 def learned_keys(losses: Losses, hidden: list[str]) -> list[NestedKey]:
     """Keys of a batch that its minibatches need."""
-    keys: list[NestedKey] = ["observation", "observation_critic", "is_init", *hidden]
-    keys += ["action", "action_log_prob"]
+    keys: list[NestedKey] = ["is_init", *hidden, "action", "action_log_prob"]
     wanted = [key for loss in losses.by_place.values() for key in loss.in_keys]
     made = ("advantage", "value_target", "state_value")  # after the batch is collected
     return list(dict.fromkeys([*keys, *(key for key in wanted if key not in made)]))
 
 
 def stored_keys(learned: list[NestedKey], critic: Any) -> list[NestedKey]:
-    """Keys to keep while a batch is collected: those learned from, and those looked at."""
+    """Keys to keep while a batch is collected: those learned from, and those looked at.
+
+    Args:
+        learned: by minibatches and by normalisers.
+        critic: which also sees what follows a step.
+    """
     flags = ["reward", "done", "terminated", "truncated", "reward_terms", "terminations"]
     flags += ["episode_reward", "step_count", "diverged"]
     after: list[NestedKey] = [("next", key) for key in [*critic.in_keys, *flags]]
-    return [*learned, "state_value", *after]
+    return list(dict.fromkeys([*learned, "state_value", *after]))

@@ -15,7 +15,7 @@ from zfall.losses.advantage import advantage_among_alike
 from zfall.losses.burn_in import burnt_in
 from zfall.losses.policy_pass import keep_policy, policy_pass
 from zfall.losses.ppo import PenalizedPPOLoss
-from zfall.modules.actors import normalizer_of, recurrent_keys
+from zfall.modules.actors import normalizers_of, recurrent_keys
 from zfall.training import build
 from zfall.training.averaging import moving_average
 from zfall.training.checks import check_finite, check_task, whole_config
@@ -83,8 +83,11 @@ class Learner:
         self.optimizer, self.scheduler = build_optimizer(cfg, self.parameters)
         # A mode is searched for, by the losses that need it and for their share alone.
         self._one_pass = self.actor[-1].distribution_kwargs.get("statistic", "mean") == "mean"
+        # One that both share sees what the actor does.
+        self._normalizers = normalizers_of(self.critic) | normalizers_of(self.actor)
         self._learned = build.learned_keys(self.losses, hidden)
-        self._stored = build.stored_keys(self._learned, self.critic)
+        stored = [*self._learned, *self._normalizers.values()]
+        self._stored = build.stored_keys(stored, self.critic)
         self._recurrent = bool(hidden)
         samples = cfg.num_envs * (1 if hidden else cfg.rollout_steps)
         if cfg.minibatches > samples:
@@ -217,7 +220,9 @@ class Learner:
             some["deterministic_action"] = policy.deterministic_sample[: len(some)]
         there = dict(zip(wanted, actions, strict=True))
         for loss in auxiliary:
-            seen = some.copy().set(loss.companion_key, there[loss]) if loss in there else some
+            seen = some.copy()  # what one of them writes is none of the others' business
+            if loss in there:
+                seen[loss.companion_key] = there[loss]
             with leading.drawing():
                 out.update(leading.weighed(losses_of(loss, seen), loss, seen))
         return out
@@ -243,11 +248,8 @@ class Learner:
 
     def _see(self, batch: TensorDictBase) -> None:
         """Takes the batch into the statistics of the observations, once it is learned from."""
-        of_actor, of_critic = normalizer_of(self.actor), normalizer_of(self.critic)
-        if of_actor is not None:
-            of_actor.update(batch["observation"], self.ranks.moments)
-        if of_critic is not None and of_critic is not of_actor:
-            of_critic.update(batch["observation_critic"], self.ranks.moments)
+        for normalizer, key in self._normalizers.items():
+            normalizer.update(batch[key], self.ranks.moments)
 
     def buffers(self) -> dict[str, Tensor]:
         """What losses and the augmentation remember, by place."""

@@ -169,8 +169,8 @@ def check_losses(losses: Mapping[str, Any], trained: Iterable[torch.nn.Parameter
     """Refuses losses, by their place, with parameters or names that would go unseen.
 
     Raises:
-        ValueError: on a parameter that nothing would train or save, or one name that two write:
-            the first would not be learned.
+        ValueError: on a parameter that nothing would train or save, a loss that does not say what
+            it reads, or one name that two write: the first would not be learned.
     """
     known = {parameter.data_ptr() for parameter in trained}
     writes: dict[str, str] = {}
@@ -181,6 +181,8 @@ def check_losses(losses: Mapping[str, Any], trained: Iterable[torch.nn.Parameter
                 f"{place} must have no parameters but the actor's and the critic's, nothing would "
                 f"train or save its {own[0]}."
             )
+        if not hasattr(loss, "in_keys"):
+            raise ValueError(f"{place} must have in_keys, what it reads of a minibatch; got none.")
         for key in getattr(loss, "out_keys", ()):
             if writes.setdefault(key, place) != place:
                 raise ValueError(

@@ -24,6 +24,7 @@ class TaskFacts:
         env: of the training.
         cfg: of the training.
         place: of the loss that asks, for messages.
+        read_by_losses: what auxiliary losses read of the world, for an augmentation to change.
 
     Attributes:
         teachers: digests of the policies that were asked for, by the place of the loss.
@@ -32,6 +33,7 @@ class TaskFacts:
     env: TransformedEnv
     cfg: DictConfig
     place: str = ""
+    read_by_losses: tuple[NestedKey, ...] = ()
     teachers: dict[str, str] = field(default_factory=dict)
 
     def at(self, place: str) -> "TaskFacts":
