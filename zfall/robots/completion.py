@@ -68,6 +68,22 @@ def full_spec(robot: "Robot") -> mujoco.MjSpec:
     return spec
 
 
+def let_feet_decide(spec: mujoco.MjSpec, robot: "Robot") -> None:
+    """Gives the soles of a robot a higher priority than the floor, where they have none.
+
+    Without it MuJoCo takes the larger friction of the two, which stays what it was, and a slippery
+    foot would not slip. As it is, the robot stands and moves as before.
+    """
+    floor = spec.geom("floor")
+    for foot in robot.feet:
+        sole = spec.site(spec.sensor(f"feet_position/{foot}").objname)
+        for geom in sole.parent.geoms:
+            if geom.priority <= floor.priority:
+                geom.friction = np.maximum(geom.friction, floor.friction)
+                geom.condim = max(geom.condim, floor.condim)
+                geom.priority = floor.priority + 1
+
+
 def bare_model(robot: "Robot") -> mujoco.MjModel:
     """The compiled model of a robot alone.
 
@@ -85,7 +101,6 @@ def complete(spec: mujoco.MjSpec, robot: "Robot", add: Additions) -> None:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos are stiff
     spec.compiler.discardvisual = True  # of no use to the physics; pictures keep it
     _add_floor(spec)
-    _let_feet_decide(spec, add)
     _add_camera(spec, add)
     _add_sensors(spec, robot.feet, add)
     _add_stand(spec, model, add)
@@ -130,21 +145,6 @@ def _add_floor(spec: mujoco.MjSpec) -> None:
         planes[0].name = "floor"
         if before:
             follow(spec, mujoco.mjtObj.mjOBJ_GEOM, {before: "floor"})
-
-
-def _let_feet_decide(spec: mujoco.MjSpec, add: Additions) -> None:
-    """Gives the feet a higher priority than the floor.
-
-    Without it MuJoCo takes the larger friction of the two, which stays what it was, and a slippery
-    foot would not slip.
-    """
-    floor = spec.geom("floor")
-    for sole in add.soles:
-        for geom in spec.body(sole.link).geoms:
-            if geom.priority <= floor.priority:
-                geom.friction = np.maximum(geom.friction, floor.friction)
-                geom.condim = max(geom.condim, floor.condim)
-                geom.priority = floor.priority + 1
 
 
 def _add_camera(spec: mujoco.MjSpec, add: Additions) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from zfall.robots import Ball, Contact, PushPoint, Robot, bare_model, full_spec
+from zfall.robots import Ball, Contact, PushPoint, Robot, bare_model, full_spec, let_feet_decide
 from zfall.robots.declared import check_declared
 from zfall.robots.servos import Servo
 from zfall.simulation.look import dress
@@ -91,6 +91,7 @@ def model_spec(
     check_declared(robot)
     if servos is not None:
         put_servos(spec, robot, servos)
+    let_feet_decide(spec, robot)
     plain = spec.compile()
     for name, point in {**robot.push_points, **(push_points or {})}.items():
         if spec.body(name) is not None:

@@ -121,6 +121,11 @@ def as_markdown(rows: Rows, missing: Mapping[str, str], figures: Figures) -> str
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
+# Of 95 %, nominally: over so few seeds it covers less.
+OVER_SEEDS = "percentile bootstrap over seeds, of two or three their range"
+NOTE = f"% below: {OVER_SEEDS}; bold: the paired difference to the first row excludes zero\n"
+
+
 def as_latex(rows: Rows, missing: Mapping[str, str], figures: Figures) -> str:
     """The table for LaTeX, as wide as a column: means, below them their intervals.
 
@@ -132,8 +137,7 @@ def as_latex(rows: Rows, missing: Mapping[str, str], figures: Figures) -> str:
         for name, cells in rows.items()
     ]
     body += [[LatexCell(name), LatexCell(why)] for name, why in missing.items()]
-    note = "% below: bootstrap 95 % interval over seeds; bold: differs from the first row\n"
-    return note + latex_tables(["", *(heading for heading, _ in figures.values())], body)
+    return NOTE + latex_tables(["", *(heading for heading, _ in figures.values())], body)
 
 
 def _latex_cell(cell: Cell, digits: int) -> LatexCell:
@@ -161,7 +165,7 @@ def print_tables(study: "Study", store: Store, console: Console) -> None:
     for table in tables_of(study.plan, store, figures):
         title = f"{study.name}, tested: {table.title}" if table.title else study.name
         print_sheet(sheet_of(table, figures, title=title, file=str(file)), console)
-    console.print("in brackets 95 % intervals over seeds; * differs from the first row")
+    console.print(f"in brackets {OVER_SEEDS}; * the difference to the first row excludes zero")
 
 
 def _text(cell: Cell, digits: int) -> str:
