@@ -28,11 +28,11 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors():
         check_recipe(cfg, TrainKeys)
     from zfall.policies.load import check_holds_run
-    from zfall.training.begin import AUTO
     from zfall.training.checks import check_config
     from zfall.training.logging import quiet_threads
     from zfall.training.meeting import owned_by_all, ranks_of, shared_folder
     from zfall.training.run_folder import full_disk_named, removed_if_unused
+    from zfall.training.same_run import AUTO
 
     with one_line_errors(SPOKEN), removed_if_unused(made), trusting(cfg.trust):
         with one_line_errors():

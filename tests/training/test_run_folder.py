@@ -19,7 +19,7 @@ from zfall import checkpoint
 from zfall.training import run_folder
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
-from zfall.training.loop import train
+from zfall.training.loop import run_training, train
 from zfall.training.rows import append_row, keep_rows
 from zfall.training.run_folder import LOCK, RunFolder
 
@@ -239,3 +239,14 @@ def test_a_loggers_thread_that_finds_no_room_prints_no_traceback(monkeypatch):
             thread.start()
             thread.join()
     assert shown == [ZeroDivisionError]
+
+
+def test_a_folder_with_a_run_of_another_config_does_not_go_on(compose_config, tmp_path):
+    """Whoever changes a weight and calls it again gets no mixture of both; a longer run goes on."""
+    quiet = Console(quiet=True)
+    run_training(compose_config(*TINY), tmp_path, quiet)
+    with pytest.raises(ValueError, match=r"loss.gamma \(0.98 stored, 0.5 wanted\) must be that of"):
+        run_training(compose_config(*TINY, "loss.gamma=0.5"), tmp_path, quiet)
+    longer = [each.replace("total_frames=64", "total_frames=96") for each in TINY]
+    assert run_training(compose_config(*longer), tmp_path, quiet)
+    assert checkpoint.load(tmp_path / "checkpoints" / "last.pt")["frames"] == 96

@@ -8,8 +8,6 @@ from rich.console import Console
 
 from zfall import checkpoint
 from zfall.commands import shown_path
-from zfall.configs import plain_containers
-from zfall.meaning import differences, meaning
 from zfall.simulation.model import identity_of
 from zfall.training.begun import BEGUN, load_begun, write_begun
 from zfall.training.learner import Learner
@@ -23,18 +21,16 @@ from zfall.training.run_folder import (
     holds_run,
     write_config,
 )
+from zfall.training.same_run import AUTO, check_same_run
 from zfall.training.stages import (
     begin_stage,
     check_lengths,
     check_stages,
     stage_reached,
     with_files,
-    written_out,
 )
 from zfall.training.trial_step import try_one_step
 from zfall.trust import config_of_file, targets_of, trusting
-
-AUTO = "auto"  # in place of a folder to go on from: the one of the run, if it was begun
 
 
 def begin(
@@ -123,21 +119,3 @@ def _forget_figures(folder: Path) -> None:
     """Removes those of a run that was cut before its first checkpoint."""
     for name in ("metrics.csv", "timing.csv"):
         (folder / name).unlink(missing_ok=True)
-
-
-def check_same_run(stored: DictConfig, given: DictConfig, folder: Path) -> None:
-    """Refuses to go on by ``resume=auto`` with a run of another config, but for its length.
-
-    Raises:
-        ValueError: naming the first key that differs.
-    """
-    configs = (stored, OmegaConf.create(written_out(given)))
-    before, now = ({str(k): v for k, v in plain_containers(each).items()} for each in configs)
-    for config in (before, now):
-        for key in ("total_frames", "resume"):
-            config.pop(key, None)
-    if differing := differences(meaning(before), meaning(now)):
-        raise ValueError(
-            f"{differing[0]} must be that of the run in {folder}, with which resume={AUTO} goes "
-            "on; another hydra.run.dir begins a run."
-        )

@@ -24,8 +24,9 @@ from zfall.training.metrics import batch_metrics
 from zfall.training.parts import with_own_worlds
 from zfall.training.ranks import ALONE
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
+from zfall.training.same_run import check_same_run
 from zfall.training.stages import begin_stage, stage_reached
-from zfall.trust import targets_of, trusting
+from zfall.trust import config_of_file, targets_of, trusting
 
 Look = Callable[[Learner], None]
 
@@ -89,7 +90,8 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         Whether it came to its end; False if ctrl-c ended it early.
 
     Raises:
-        ValueError: if another process trains there, or it asks for several ranks.
+        ValueError: if another process trains there, the folder has a run of another config, or it
+            asks for several ranks.
     """
     if cfg.launch.ranks not in (None, 1):
         raise ValueError(
@@ -102,7 +104,10 @@ def run_training(cfg: DictConfig, folder: Path, console: Console) -> bool:
         if path.exists():
             with trusting(targets_of(cfg)):  # all of them are built in any case
                 state = checkpoint.load(path, checkpoint.TRAINING)
+                before = {"whole_config": state["config"], **state["run"]}
+                stored = config_of_file(before["whole_config"], path)
             check_version(state["run"], folder)
+            check_same_run(stored, cfg, folder)
         stage = stage_reached(cfg, state)
         made = stage.make is not None
         learner = None if made else begin_stage(stage, folder, goes_on=state is not None)
