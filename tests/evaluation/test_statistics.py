@@ -1,5 +1,7 @@
 """Figures of a battery against SciPy and by hand."""
 
+import math
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -66,6 +68,9 @@ def test_summary_by_hand(trials):
     assert summary["i50"] == [0.2, 0.0]
     assert (summary["i50_mean"], summary["i50_min"]) == (0.1, 0.0)
     assert summary["i90"] == [0.1, 0.0]
+    # Two of four throws at a half: 11 of 16 times; at a quarter 0.2617 of the times.
+    variance = 0.1**2 * (11 / 16 * 5 / 16 + 0.26171875 * 0.73828125)
+    assert summary["i50_mean_error"] == pytest.approx(math.sqrt(variance) / 2)
     assert summary["success"] == {"0.1": 5 / 8, "0.2": 2 / 8}
     assert summary["success_low"]["0.1"] < 5 / 8 < summary["success_high"]["0.1"]
     assert (summary["control_falls"], summary["control_n"]) == (1, 8)

@@ -205,8 +205,10 @@ def _headlines(summary: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     ]
     if "i50_mean" not in summary:
         return notes, []
+    error = summary.get("i50_mean_error")  # not in those from before 2026-11-29
+    spread = "" if error is None else f" (standard error {error:.3f})"
     notes.append(
-        f"I50: mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f} over "
+        f"I50: mean {summary['i50_mean']:.3f}{spread}, least {summary['i50_min']:.2f} over "
         f"directions; I90: mean {summary['i90_mean']:.3f}, least {summary['i90_min']:.2f}."
     )
     rows = [

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 
 from zfall.evaluation.comparison import bootstrap_interval
 from zfall.evaluation.definitions import Battery
@@ -30,6 +30,26 @@ def largest_withstood(impulses: np.ndarray, rates: np.ndarray, share: float) -> 
     """
     good = np.logical_and.accumulate(rates >= share - 1e-9)
     return float(impulses[good][-1]) if good.any() else 0.0
+
+
+def i50_error(trials: pd.DataFrame) -> float:
+    """Standard error of the mean I50 over directions, from the number of starts alone.
+
+    Each cell of direction and size is taken as so many throws of its own rate (the parametric
+    bootstrap), of which the chance that at least half succeed is known: nothing is drawn.
+
+    Args:
+        trials: of a planar battery, with ``recovered``.
+    """
+    pushed = trials[trials["impulse"] > 0].astype({"recovered": int})
+    cells = pushed.groupby(["direction_rad", "impulse"])["recovered"]
+    won, tried = (each.unstack().to_numpy() for each in (cells.sum(), cells.size()))
+    sizes = np.sort(pushed["impulse"].unique())
+    passes = binom.sf(np.ceil(0.5 * tried - 1e-9) - 1, tried, won / tried)
+    reached = np.cumprod(passes, axis=1)  # chance that I50 is at least so large
+    mean = reached @ np.diff(sizes, prepend=0.0)
+    square = reached @ np.diff(sizes**2, prepend=0.0)
+    return float(np.sqrt(np.maximum(square - mean**2, 0.0).sum()) / len(won))
 
 
 def success_table(trials: pd.DataFrame) -> pd.DataFrame:
@@ -82,7 +102,8 @@ def head(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
 def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
     """The summary of a planar battery: headline figures and success by impulse.
 
-    ``success`` at an impulse is over all directions and starts, with its Wilson 95 % interval.
+    ``i50_mean_error`` is the standard error of ``i50_mean``. ``success`` at an impulse is over all
+    directions and starts, with its Wilson 95 % interval.
     ``control_falls`` are trials without a push in which something but the feet met the floor.
     """
     table = success_table(trials)
@@ -92,6 +113,7 @@ def summarize(battery: Battery, trials: pd.DataFrame) -> dict[str, Any]:
     control = trials[trials["impulse"] == 0]
     summary: dict[str, Any] = head(battery, trials) | {
         "i50_mean": float(np.mean(i50)),
+        "i50_mean_error": i50_error(trials),
         "i50_min": float(np.min(i50)),
         "i90_mean": float(np.mean(i90)),
         "i90_min": float(np.min(i90)),

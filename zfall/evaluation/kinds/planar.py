@@ -68,7 +68,8 @@ class Planar:
         )
         files += write_table(folder, "strategies", strategy_table(result.trials))
         headline = (
-            f"I50 mean {summary['i50_mean']:.3f}, least {summary['i50_min']:.2f}; "
+            f"I50 mean {summary['i50_mean']:.3f} (standard error "
+            f"{summary['i50_mean_error']:.3f}), least {summary['i50_min']:.2f}; "
             f"I90 mean {summary['i90_mean']:.3f}"
         )
         return Written(files, [success_by_size({result.name: summary}), headline])
