@@ -76,6 +76,15 @@ def test_play_leaves_half_of_it_on_either_side():
         assert level - x[-1] == pytest.approx(math.copysign(0.02, level), abs=1e-6)
 
 
+@pytest.mark.parametrize("volts", [12.0, 9.0])
+def test_what_rests_in_its_play_stays_where_the_log_begins(volts):
+    """Half a newton metre hangs on it: at any voltage the play rests where its torque holds that."""
+    load = Load(mass=0.5, arm=0.1, down=-math.pi / 2)
+    loose = LateServo(servo=replace(SMOOTH, backlash=0.5), latency=0.0)
+    (x,) = run_bench([loose], steps(load, volts=volts, level=0.0), physics_dt=0.002)
+    np.testing.assert_allclose(x, 0.0, atol=1e-4)
+
+
 def test_each_servo_moves_as_it_does_alone():
     units = [LateServo(servo=one, latency=0.01) for one in (STS3250, STS3215)]
     together = run_bench(units, steps(Load()), physics_dt=0.002)
