@@ -59,7 +59,6 @@ def main(cfg: DictConfig) -> None:
         from hydra.utils import instantiate
         from rich.console import Console
         from rich.progress import track
-        from torchrl.modules.utils import get_primers_from_module
 
         from zfall.envs.make import left_out
         from zfall.envs.tables import keep
@@ -67,7 +66,6 @@ def main(cfg: DictConfig) -> None:
         from zfall.evaluation.candidate import load_candidate
         from zfall.evaluation.play import film_of, planned, side_pushes, walk
         from zfall.evaluation.video import Cut
-        from zfall.modules.actors import recurrent_keys
 
         console = Console()
         check_values(cfg)
@@ -88,8 +86,6 @@ def main(cfg: DictConfig) -> None:
     console.print(f"of the env's transforms left out: {', '.join(gone) or 'nothing'}")
     if worlds != cfg.num_envs:
         console.print(f"num_envs: {worlds}, the next multiple of {BLOCK}")
-    if actor is not None and recurrent_keys(actor):
-        env.append_transform(get_primers_from_module(actor))
     env.set_seed(cfg.seed)
     played = walk(
         env,

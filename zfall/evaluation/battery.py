@@ -12,7 +12,6 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type, step_mdp
-from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.humanoid import HumanoidEnv
 from zfall.envs.make import left_out, make_env
@@ -26,7 +25,7 @@ from zfall.evaluation.definitions import Battery
 from zfall.evaluation.kinds import kind_of
 from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, plan_pushes, plan_trials, those_of
-from zfall.modules.actors import recurrent_keys
+from zfall.modules.memory import carry_memory
 from zfall.simulation.turns import physics_first
 
 BLOCK = 64  # worlds in one call of a policy, always: a trial re-run alone is the same trial
@@ -272,8 +271,8 @@ def play(
     act: Any = actor
     if actor is None:
         act = hold_pose(env)
-    elif not set(recurrent_keys(actor)) <= set(env.observation_spec.keys(True, True)):
-        env.append_transform(get_primers_from_module(actor))
+    else:
+        carry_memory(env, actor)
     exploring = set_exploration_type(ExplorationType.DETERMINISTIC)
     with torch.no_grad(), physics_first(), exploring:
         td = env.reset()

@@ -13,7 +13,7 @@ from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import TensorSpec
-from torchrl.envs import TensorDictPrimer, Transform
+from torchrl.envs import TensorDictPrimer, Transform, TransformedEnv
 from torchrl.modules import set_recurrent_mode
 from torchrl.modules.utils import get_primers_from_module
 
@@ -162,6 +162,16 @@ def memory_primer(network: Any, place: str) -> Transform:
             f"{unravel_key(('next', key))} among its out_keys; got none."
         )
     return cast(Transform, get_primers_from_module(network))
+
+
+def carry_memory(env: TransformedEnv, actor: Any) -> None:
+    """Lets an env carry the memory of a policy; one without, or that is carried, changes nothing.
+
+    Raises:
+        ValueError: as ``memory_primer``.
+    """
+    if not set(recurrent_keys(actor)) <= set(env.observation_spec.keys(True, True)):
+        env.append_transform(memory_primer(actor, "actor"))
 
 
 def memory_beginning(network: nn.Module) -> dict[NestedKey, tuple[TensorSpec, float]]:

@@ -11,11 +11,10 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import TransformedEnv
-from torchrl.modules.utils import get_primers_from_module
 
 from zfall import checkpoint as checkpoints
 from zfall.envs.tables import changed, check_same_interface, robot_of
-from zfall.modules.actors import recurrent_keys
+from zfall.modules.memory import carry_memory
 from zfall.policies.foreign import read_foreign
 from zfall.simulation.model import identity_of
 from zfall.trust import trusting
@@ -50,8 +49,7 @@ class Policy:
             training: whether pushes, noise, delays and randomisation of the training act.
         """
         env = instantiate(self.config.env, base_env={"num_envs": num_envs}, training=training)
-        if recurrent_keys(self.actor):  # the env carries the hidden states
-            env.append_transform(get_primers_from_module(self.actor))
+        carry_memory(env, self.actor)
         return env
 
 

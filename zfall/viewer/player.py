@@ -12,7 +12,6 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import ExplorationType, set_exploration_type, step_mdp
-from torchrl.modules.utils import get_primers_from_module
 
 from zfall.envs.make import left_out, make_env
 from zfall.envs.transforms.actions import ActuatorDelay
@@ -20,7 +19,7 @@ from zfall.envs.transforms.pushes import ScriptedPush
 from zfall.envs.transforms.starts import ScriptedStart
 from zfall.evaluation.battery import hold_pose, starts_and_pushes
 from zfall.evaluation.candidate import Candidate
-from zfall.modules.actors import recurrent_keys
+from zfall.modules.memory import carry_memory
 from zfall.simulation.turns import physics_first
 
 START_NOISE = 0.035  # [rad] as in the batteries, two degrees: else all worlds would do the same
@@ -71,8 +70,8 @@ class Player:
             training=False,
         )
         self.actor = candidate.actor
-        if self.actor is not None and recurrent_keys(self.actor):
-            self.env.append_transform(get_primers_from_module(self.actor))
+        if self.actor is not None:
+            carry_memory(self.env, self.actor)
         self._hold: Any = hold_pose(self.env)
         named = (t.mode_names for t in self.env.transform if hasattr(t, "mode_names"))
         self._modes: Sequence[str] = next(named, ())
