@@ -102,7 +102,8 @@ def main(cfg: DictConfig) -> None:
         if cfg.trial is not None:
             folder = folders[names[0]] if len(names) == 1 else output
             given = {key: cfg[key] for key in ("seed", "joint", "video")}
-            given["cut"] = Cut(cfg.slow, cfg.slow_for, cfg.shown)
+            given["cut"] = cut = Cut(cfg.slow, cfg.slow_for, cfg.shown)
+            cut.check(battery.end_time)
             show_trial(battery, cfg.trial, candidates, folders, folder, console, **given)
             remove_if_empty(output)
             return

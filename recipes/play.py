@@ -79,6 +79,8 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(f"seconds must be at least control_dt {step}, got {cfg.seconds}.")
         if not cfg.filmed <= worlds:
             raise ValueError(f"filmed must be at most num_envs {worlds}, got {cfg.filmed}.")
+        cut = Cut(cfg.slow, cfg.slow_for, cfg.shown)
+        cut.check(cfg.seconds)
         sizes, apart = planned(env, cfg.pushes, cfg.apart)
         if sizes is not None:
             env.append_transform(side_pushes(env, sizes, cfg.seconds, apart))
@@ -112,7 +114,7 @@ def main(cfg: DictConfig) -> None:
                 env.base_env,
                 player.label,
                 folder / "play.mp4",
-                cut=Cut(cfg.slow, cfg.slow_for, cfg.shown),
+                cut=cut,
                 follow=lambda frames, total: track(
                     frames, "filming", total=total, console=console, transient=True
                 ),

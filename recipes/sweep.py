@@ -56,8 +56,9 @@ def main(cfg: DictConfig) -> None:
     with one_line_errors(), trusting(cfg.trust):
         from rich.console import Console
 
+        from zfall.evaluation.battery import battery_env
         from zfall.evaluation.candidate import load_candidates, read_trials, write_trials
-        from zfall.evaluation.definitions import battery_of
+        from zfall.evaluation.definitions import Battery, battery_of
         from zfall.evaluation.run import trials_of
         from zfall.evaluation.sweep import sweep_table, widened
         from zfall.evaluation.writers import write_table
@@ -71,14 +72,16 @@ def main(cfg: DictConfig) -> None:
                 f"battery.world must be a table that draws something, got null of "
                 f"{cfg.battery.name}: zeroth_sweep has one."
             )
-        batteries = {
-            width: battery_of({**table, "world": widened(table["world"], width)}, **options)
-            for width in cfg.widths
-        }
-        first = next(iter(batteries.values()))
+        first = battery_of(table, **options)
         (tested,) = load_candidates(
             [cfg.run], checkpoint=cfg.checkpoint, change=servo_change(), world=first.world
         )
+        env, *_ = battery_env(first, tested.env_cfg, 1)
+        ranges, batteries = env.base_env.parameters.ranges, dict[float, Battery]()
+        for width in cfg.widths:
+            world = widened(table["world"], width, ranges)
+            batteries[width] = battery_of({**table, "world": world}, **options)
+            battery_env(batteries[width], tested.env_cfg, 1)  # refused before any of them runs
     found = {}
     for width, battery in batteries.items():
         path = folder / f"width_{width:g}" / "trials.csv"

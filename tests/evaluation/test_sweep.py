@@ -48,6 +48,9 @@ def test_offsets_and_slopes_may_be_negative_and_other_distributions_are_widened_
     assert found["com_offset"]["normal"] == pytest.approx([0.1, 0.006])
     assert found["joint_armature"]["log_uniform"] == pytest.approx([0.25, 4.0])
     assert found["payload"]["uniform"] == pytest.approx([0.0, 0.3])
+    servos = {"physics": {"params": {"battery_voltage": {"uniform": [0.9, 1.0]}}}}
+    (voltage,) = widened(servos, 4.0, {"battery_voltage": (0.5, 1.05)})["physics"].values()
+    assert voltage["battery_voltage"]["uniform"] == pytest.approx([0.75, 1.05])
     far = widened({"physics": {"params": params}}, 100.0)["physics"]["params"]
     assert far["slope"]["uniform"] == pytest.approx([-math.pi / 4, math.pi / 4])
 

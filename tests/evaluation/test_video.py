@@ -179,3 +179,11 @@ def test_a_film_says_that_all_is_well_only_when_the_push_is_half_a_second_old():
     assert outcome_at(good, 1.2, fresh) is None
     assert outcome_at(good, 1.5, old) == ("stays up", True)
     assert outcome_at(bad, 1.2, fresh) == ("fell", False)
+
+
+def test_what_no_film_can_show_is_refused_before_it_is_played():
+    with pytest.raises(ValueError, match="slow must be below 1 with slow_for=2, got 1"):
+        video.Cut(slow_for=2.0)
+    with pytest.raises(ValueError, match="shown must begin before the end, 7 s, got 8"):
+        video.Cut(shown=[8.0, 9.0]).check(7.0)
+    video.Cut(shown=[6.0, 9.0]).check(7.0)

@@ -749,6 +749,16 @@ def test_a_critic_may_see_what_the_policy_sees(compose_config):
     assert_close(normalizer_of(learner.critic).mean, normalizer_of(learner.actor).mean)
 
 
+def test_a_conditioning_on_neighbours_of_the_buffer_goes_with_mirrored_samples(compose_config):
+    """They are no quantity of the env, and are mirrored like the observation they come from."""
+    learner = Learner(
+        compose_config("num_envs=4", "rollout_steps=4", "symmetry=augmentation", "caps=atalante",
+                       "+auxiliary_losses.caps.neighbour_key=observation_neighbour",
+                       "+env.transforms.near={_target_: zfall.envs.transforms.observations.neighbours.CAPSNeighbours, sigma: 0.1}")
+    )  # fmt: skip
+    assert learner.learn(learner.collect())["loss_spatial"] > 0
+
+
 class Scribe(LossModule):
     """A loss that writes into what it is given, as the actor does, and looks what is there."""
 

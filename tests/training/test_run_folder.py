@@ -247,6 +247,7 @@ def test_a_folder_with_a_run_of_another_config_does_not_go_on(compose_config, tm
     run_training(compose_config(*TINY), tmp_path, quiet)
     with pytest.raises(ValueError, match=r"loss.gamma \(0.98 stored, 0.5 wanted\) must be that of"):
         run_training(compose_config(*TINY, "loss.gamma=0.5"), tmp_path, quiet)
+    other = ["logger=null", "checkpoint_every=2", "name=other", "trust=[tests.training.makers]"]
     longer = [each.replace("total_frames=64", "total_frames=96") for each in TINY]
-    assert run_training(compose_config(*longer), tmp_path, quiet)
+    assert run_training(compose_config(*longer, *other), tmp_path, quiet)
     assert checkpoint.load(tmp_path / "checkpoints" / "last.pt")["frames"] == 96

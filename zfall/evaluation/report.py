@@ -19,6 +19,7 @@ from zfall.evaluation.curves import SIZE, Panel, panels
 from zfall.evaluation.lost_trials import can_be_shown, film_line, lost_trials
 from zfall.evaluation.results import labels
 from zfall.evaluation.run_files import read_summary, read_table, reading
+from zfall.evaluation.statistics import error_of
 from zfall.files import written_whole
 from zfall.terminal import text_of
 from zfall.trust import texts_of_file
@@ -205,11 +206,10 @@ def _headlines(summary: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     ]
     if "i50_mean" not in summary:
         return notes, []
-    error = summary.get("i50_mean_error")  # not in those from before 2026-11-29
-    spread = "" if error is None else f" (standard error {error:.3f})"
     notes.append(
-        f"I50: mean {summary['i50_mean']:.3f}{spread}, least {summary['i50_min']:.2f} over "
-        f"directions; I90: mean {summary['i90_mean']:.3f}, least {summary['i90_min']:.2f}."
+        f"I50: mean {summary['i50_mean']:.3f}{error_of(summary)}, least "
+        f"{summary['i50_min']:.2f} over directions; I90: mean {summary['i90_mean']:.3f}, "
+        f"least {summary['i90_min']:.2f}."
     )
     rows = [
         {

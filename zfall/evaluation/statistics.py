@@ -1,5 +1,6 @@
 """From trials to figures that can be compared."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -32,8 +33,10 @@ def largest_withstood(impulses: np.ndarray, rates: np.ndarray, share: float) -> 
     return float(impulses[good][-1]) if good.any() else 0.0
 
 
-def i50_error(trials: pd.DataFrame) -> float:
+def i50_error(trials: pd.DataFrame) -> float | None:
     """Standard error of the mean I50 over directions, from the number of starts alone.
+
+    ``None`` where a cell has less than two trials, of which nothing can be said.
 
     Each cell of direction and size is taken as so many throws of its own rate (the parametric
     bootstrap), of which the chance that at least half succeed is known: nothing is drawn.
@@ -44,12 +47,23 @@ def i50_error(trials: pd.DataFrame) -> float:
     pushed = trials[trials["impulse"] > 0].astype({"recovered": int})
     cells = pushed.groupby(["direction_rad", "impulse"])["recovered"]
     won, tried = (each.unstack().to_numpy() for each in (cells.sum(), cells.size()))
+    if not (tried >= 2).all():  # nor is it where a cell is missing
+        return None
     sizes = np.sort(pushed["impulse"].unique())
     passes = binom.sf(np.ceil(0.5 * tried - 1e-9) - 1, tried, won / tried)
     reached = np.cumprod(passes, axis=1)  # chance that I50 is at least so large
     mean = reached @ np.diff(sizes, prepend=0.0)
     square = reached @ np.diff(sizes**2, prepend=0.0)
     return float(np.sqrt(np.maximum(square - mean**2, 0.0).sum()) / len(won))
+
+
+def error_of(summary: Mapping[str, Any]) -> str:
+    """The standard error of a summary's mean I50 in words, behind it; nothing where none is known.
+
+    Summaries from before 2026-11-29 have none.
+    """
+    error = summary.get("i50_mean_error")
+    return "" if error is None else f" (standard error {error:.3f})"
 
 
 def success_table(trials: pd.DataFrame) -> pd.DataFrame:

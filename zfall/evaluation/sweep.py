@@ -10,10 +10,11 @@ from zfall.evaluation.definitions import Battery
 from zfall.evaluation.statistics import summarize
 from zfall.simulation.parameters import ANY_NUMBER, RANGES
 
+Ranges = Mapping[str, tuple[float, float]]
 LEAST = 0.02  # smallest value of a factor or a friction, which must stay positive
 
 
-def widened(world: Any, width: float, name: str = "") -> Any:
+def widened(world: Any, width: float, ranges: Ranges = RANGES, name: str = "") -> Any:
     """A battery's world with all that is drawn in it ``width`` times as wide.
 
     Bounds under ``uniform`` move away from their middle, ``[c - width r, c + width r]``, those
@@ -24,6 +25,7 @@ def widened(world: Any, width: float, name: str = "") -> Any:
     Args:
         world: a table of it.
         width: 0 draws nothing, 1 is the world as it is.
+        ranges: what the physics bears, ``env.parameters.ranges``.
         name: of the table, which is that of a parameter.
     """
     if not isinstance(world, Mapping):
@@ -33,13 +35,13 @@ def widened(world: Any, width: float, name: str = "") -> Any:
         if key in ("uniform", "std") and isinstance(value, Mapping):  # of each quantity
             changed[key] = {quantity: width * size for quantity, size in value.items()}
         elif key == "uniform":
-            changed[key] = _cut(_spread(value, width), value, name)
+            changed[key] = _cut(_spread(value, width), value, ranges.get(name, ANY_NUMBER))
         elif key == "log_uniform":
             changed[key] = np.exp(_spread(np.log(value), width)).round(12).tolist()
         elif key == "normal":
             changed[key] = [value[0], width * value[1]]
         else:
-            changed[key] = widened(value, width, key)
+            changed[key] = widened(value, width, ranges, key)
     return changed
 
 
@@ -49,9 +51,9 @@ def _spread(bounds: Sequence[float], width: float) -> list[float]:
     return [round(middle - reach, 12), round(middle + reach, 12)]
 
 
-def _cut(bounds: list[float], given: Sequence[float], name: str) -> list[float]:
+def _cut(bounds: list[float], given: Sequence[float], within: tuple[float, float]) -> list[float]:
     """Bounds within what the physics bears of a parameter."""
-    least, most = RANGES.get(name, ANY_NUMBER)
+    least, most = within
     if least >= 0:
         least = max(least, min(LEAST, given[0]))
     return [max(least, bounds[0]), min(most, bounds[1])]

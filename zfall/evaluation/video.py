@@ -39,7 +39,7 @@ class Cut:
         shown: from when to when [s]; ``None``: from begin to end.
 
     Raises:
-        ValueError: if ``slow`` is not in (0, 1].
+        ValueError: if ``slow`` is not in (0, 1], or 1 with ``slow_for``.
     """
 
     slow: float = 1.0
@@ -49,6 +49,17 @@ class Cut:
     def __post_init__(self) -> None:
         if not 0 < self.slow <= 1:
             raise ValueError(f"slow must be above 0 and at most 1, got {self.slow}.")
+        if self.slow_for is not None and self.slow == 1:
+            raise ValueError(f"slow must be below 1 with slow_for={self.slow_for:g}, got 1.")
+
+    def check(self, end: float) -> None:
+        """Refuses to show what comes after the end [s].
+
+        Raises:
+            ValueError: as it says.
+        """
+        if self.shown is not None and not self.shown[0] < end:
+            raise ValueError(f"shown must begin before the end, {end:g} s, got {self.shown[0]:g}.")
 
     def pictures(
         self, count: int, dt: float, start: float, begins: Iterable[float], rate: float

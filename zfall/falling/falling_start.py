@@ -31,12 +31,12 @@ class FallingStart(Transform):
     ``(N, J)`` [rad], NaN in the other worlds; the forces on the feet; and the velocity of the
     center of mass, which sensors give at the begin of a physics step. Without them the first
     observation differs from all later ones, and the policy acts differently. Comes before what
-    reads these. Where the bank has ``ESTIMATES``, estimators begin with what they had made of the
-    motion, not with the truth: in a fall they are late.
+    reads these. Where the bank has ``ESTIMATES``, the filters of tilt and of joint speeds begin
+    with what they had made of the motion, not with the truth: in a fall they are late.
 
-    Keys: reads and writes ``("start", NAME)``; writes ``("start_measured", KEY)`` for estimators;
-    writes writes ``falling_impulse`` and ``falling_speed`` if
-    ``pushed``, and ``feet_force`` and ``com_velocity`` at a reset.
+    Keys: reads and writes ``("start", NAME)``; writes ``("start_measured", KEY)`` for these
+    filters; writes ``falling_impulse`` and ``falling_speed`` if ``pushed``, and ``feet_force`` and
+    ``com_velocity`` at a reset.
 
     Args:
         env: the base env.

@@ -207,27 +207,35 @@ def normalizer_of(module: nn.Module) -> ObservationNormalizer | None:
     return next(parts, None)
 
 
-def normalizers_of(network: nn.Module) -> dict[ObservationNormalizer, NestedKey]:
-    """All observation normalisers inside a network, and what each of them sees.
+def normalizers_of(
+    network: nn.Module, observation_spec: Composite
+) -> dict[ObservationNormalizer, NestedKey]:
+    """All observation normalisers inside a network, and what of the env each of them sees.
 
-    That is what the smallest ``TensorDictModule`` around it reads, one vector.
+    That is what the smallest ``TensorDictModule`` around it reads, if it is one vector of its size.
+
+    Args:
+        network: an actor or a critic.
+        observation_spec: of the env.
 
     Raises:
-        ValueError: if it reads more.
+        ValueError: if it is none, or several.
     """
-    found: dict[ObservationNormalizer, NestedKey] = {}
+    reads: dict[ObservationNormalizer, list[NestedKey]] = {}
     for part in network.modules():  # from the outside to the inside
-        if not isinstance(part, TensorDictModuleBase):
-            continue
-        for inner in part.modules():
-            if isinstance(inner, ObservationNormalizer):
-                found[inner] = part.in_keys[0] if len(part.in_keys) == 1 else ()
-    for normalizer, key in found.items():
-        if key == ():
+        if isinstance(part, TensorDictModuleBase):
+            inner = (each for each in part.modules() if isinstance(each, ObservationNormalizer))
+            reads |= {normalizer: list(part.in_keys) for normalizer in inner}
+    found, there = {}, observation_spec.keys(True, True)
+    for normalizer, keys in reads.items():
+        size = len(normalizer.mean)
+        fits = [k for k in keys if k in there and observation_spec[k].shape[-1] == size]
+        if len(fits) != 1:
             raise ValueError(
-                "a normaliser must lie in a TensorDictModule that reads one vector, got one of "
-                f"size {len(normalizer.mean)} in a module that reads several."
+                f"a normaliser must lie in a TensorDictModule that reads one vector of the env of "
+                f"its size, {size}, got one that reads {', '.join(map(str, keys))}."
             )
+        found[normalizer] = fits[0]
     return found
 
 

@@ -67,7 +67,9 @@ def run_bench(units: Sequence[LateServo], log: ServoLog, *, physics_dt: float) -
     timestep = batch.expand("opt.timestep")
     batch.bind("qpos")[:] = log.start
     half = np.array([unit.servo.need("backlash") / 2 for unit in units])
-    stiffness = np.array([unit.servo.stiffness(float(log.voltage[0])) for unit in units])
+    stiffness = (
+        np.array([unit.servo.stiffness() for unit in units]) * log.voltage[0] / sheet_voltage
+    )
     level = log.start - _gravity(log.load, log.start) / stiffness  # at which it rests there
     positions, times, voltage = [], [], 0.0
     for row, count in enumerate(counts.tolist()):

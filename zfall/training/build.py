@@ -111,13 +111,17 @@ def build_losses(cfg: DictConfig, env: TransformedEnv, actor: Any, critic: Any) 
 
 
 def observed_by(loss: Any, env: TransformedEnv) -> list[NestedKey]:
-    """What a loss reads of the world, of a step or of the next; not its ``invariant_keys``."""
+    """What a loss reads of the world, of a step or of the next; not its ``invariant_keys``.
+
+    Nor its ``neighbour_key``: the augmentation mirrors neighbours like what they are neighbours of.
+    """
     there = env.observation_spec.keys(True, True)
     here = [
         unravel_key(key[1:]) if isinstance(key, tuple) and key[0] == "next" else key
         for key in getattr(loss, "in_keys", ())  # ``check_losses`` misses them
     ]
-    same = ("is_init", *getattr(loss, "invariant_keys", ()))
+    neighbour = getattr(loss, "neighbour_key", None)
+    same = ("is_init", neighbour, *getattr(loss, "invariant_keys", ()))
     return [key for key in dict.fromkeys(here) if key in there and key not in same]
 
 

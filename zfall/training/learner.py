@@ -84,7 +84,7 @@ class Learner:
         # A mode is searched for, by the losses that need it and for their share alone.
         self._one_pass = self.actor[-1].distribution_kwargs.get("statistic", "mean") == "mean"
         # One that both share sees what the actor does.
-        self._normalizers = normalizers_of(self.critic) | normalizers_of(self.actor)
+        self._normalizers = normalizers_of(self.critic, spec) | normalizers_of(self.actor, spec)
         self._learned = build.learned_keys(self.losses, hidden)
         stored = [*self._learned, *self._normalizers.values()]
         self._stored = build.stored_keys(stored, self.critic)

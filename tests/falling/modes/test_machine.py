@@ -211,6 +211,8 @@ def test_nothing_foreseen_a_robot_that_leans_too_far_is_lost(make_base):
         after["fall_probability"] = torch.zeros(3, 1)
         modes.append(machine._step(td, after)["mode"].argmax(-1).tolist())
     assert modes == [[0, 1, 1], [0, 0, 0]]
+    machine = ModeMachine(env, angle=math.inf, angular_velocity=math.inf, hold=0.04, lost=1.0)
+    assert machine._step(td, after)["mode"].argmax(-1).tolist() == [0, 1, 1]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from zfall.evaluation.metrics import Outcomes
 from zfall.evaluation.plans import Pushes, grid, single_pushes
 from zfall.evaluation.plots import overlay, profiles_plot, success_map
 from zfall.evaluation.results import Result
-from zfall.evaluation.statistics import summarize
+from zfall.evaluation.statistics import error_of, summarize
 from zfall.evaluation.strategies import strategy_table
 from zfall.evaluation.writers import Written, write_figures, write_table
 from zfall.terminal import Sheet
@@ -68,9 +68,8 @@ class Planar:
         )
         files += write_table(folder, "strategies", strategy_table(result.trials))
         headline = (
-            f"I50 mean {summary['i50_mean']:.3f} (standard error "
-            f"{summary['i50_mean_error']:.3f}), least {summary['i50_min']:.2f}; "
-            f"I90 mean {summary['i90_mean']:.3f}"
+            f"I50 mean {summary['i50_mean']:.3f}{error_of(summary)}, "
+            f"least {summary['i50_min']:.2f}; I90 mean {summary['i90_mean']:.3f}"
         )
         return Written(files, [success_by_size({result.name: summary}), headline])
 

@@ -185,6 +185,8 @@ class ModeMachine(Transform):
         steps = {name: max(1, round(time / env.control_dt)) for name, time in times.items()}
         self.rule = ModeRule(**steps)
         self.bounds, self.probability = bounds, probability
+        if lost is not None and probability is None:
+            angle = bounds["angle"] = min(angle, lost)
         self.lost = math.inf if lost is None else lost
         self._resting = partial(
             resting_kneel, robot=env.robot, speed=rest_speed, joint_speed=rest_joint_speed
