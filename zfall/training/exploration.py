@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDictBase
 
 from zfall.losses.policy_pass import policy_pass
+from zfall.training.own_draws import own_draws
 
 WORLDS = 16  # that are looked at
 
@@ -20,7 +21,7 @@ def exploration_of(actor: Any, batch: TensorDictBase) -> dict[str, float]:
     """
     device = next(actor.parameters()).device
     some = batch[:WORLDS].select(*actor.in_keys).to(device)
-    with torch.random.fork_rng(devices=[]):  # the entropy of a mixture is drawn
+    with own_draws():  # that of a shared mixture is drawn
         policy, _ = policy_pass(actor, some)
         figures = {}
         with suppress(NotImplementedError):

@@ -14,6 +14,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from torchrl.record import TensorboardLogger
 
 from zfall.errors import named
+from zfall.training.own_draws import own_draws
 
 
 class Loggers:
@@ -129,5 +130,5 @@ def quiet_threads() -> Iterator[None]:
 
 @contextmanager
 def _own_random_numbers() -> Iterator[None]:
-    with torch.random.fork_rng(devices=[]):
+    with own_draws():
         yield

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import TextColumn
@@ -21,6 +20,7 @@ from zfall.training.interrupts import Stopped, first_ctrl_c
 from zfall.training.learner import Learner
 from zfall.training.logging import quiet_threads
 from zfall.training.metrics import batch_metrics
+from zfall.training.own_draws import own_draws
 from zfall.training.parts import with_own_worlds
 from zfall.training.ranks import ALONE
 from zfall.training.run_folder import RunFolder, check_version, full_disk_named, owned
@@ -185,7 +185,7 @@ def train(learner: Learner, run: RunFolder, console: Console, look: Look | None 
                 run.save_last_and_best(learner)
             if look and learner.updates in looks:
                 bar.update(task, note="a look at the policy so far")
-                with torch.random.fork_rng(devices=[]):  # which training does not notice
+                with own_draws():  # which training does not notice
                     look(learner)
             seconds = times[-1] - times[0]
             note = (

@@ -5,7 +5,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -13,6 +12,7 @@ from rich.console import Console
 from zfall.errors import named, object_at
 from zfall.training.interrupts import Stopped, first_ctrl_c
 from zfall.training.links import filled
+from zfall.training.own_draws import own_draws
 from zfall.training.ranks import Ranks
 
 
@@ -105,7 +105,7 @@ def make_file(
             console.print(f"makes {name}", soft_wrap=True)
         try:
             if not path.exists():
-                with torch.random.fork_rng(devices=[]):
+                with own_draws():
                     _make_whole(maker_of(make, name, folder, files), name, path, folder, console)
         except KeyboardInterrupt:
             stopped = True
