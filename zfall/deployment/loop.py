@@ -195,7 +195,7 @@ class _Drive:
         self.bus.write(register, dict.fromkeys(self.joints, value))
 
     def read_positions(self) -> dict[str, float]:
-        """Angles of all joints [rad]; asks again until all answer, or the watchdog bites.
+        """Angles of all joints [rad]; asks again until all answer, or the watchdog times out.
 
         Raises:
             Stopped: after ``watchdog`` seconds without an answer.

@@ -18,6 +18,7 @@ from zfall.evaluation.captions import Pushed, PushLog
 from zfall.evaluation.endings import Endings
 from zfall.evaluation.followers import Follower
 from zfall.evaluation.video import Cut, Outcomes, film, frame
+from zfall.rotations import turn_to_heading
 
 FIRST, APART, DURATION = 1.0, 4.0, 0.1  # when pushes begin, and their length [s]
 UNITS = {"seconds": "s", "forward_velocity": "m/s", "distance": "m"}
@@ -151,10 +152,7 @@ def walk(
         if step == 0:
             began = last = place
         endings.update(td, (step + 1) * base.control_dt)
-        w, x, y, z = td["base_orientation"].unbind(-1)
-        heading = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y.square() + z.square()))
-        facing = torch.stack([heading.cos(), heading.sin()], -1)
-        way = (td["base_linear_velocity"][:, :2] * facing).sum(-1)
+        way = turn_to_heading(td["base_orientation"], td["base_linear_velocity"][:, :2])[:, 0]
         ways += way * endings.up
         upright += endings.up
         last = torch.where(endings.up[:, None], place, last)

@@ -13,7 +13,7 @@ from zfall.robots import GRAVITY, Robot
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """What of a robot pushes are compared by.
+    """Mass and height of a robot, by which pushes are scaled.
 
     Args:
         mass: [kg].

@@ -48,11 +48,11 @@ class RecurrentGAE(GAE):
 
 
 def advantage_among_alike(advantage: Tensor, alike: int) -> Tensor:
-    """Advantages less the mean of those that the other worlds of the same start have at that time.
+    """Advantages less the mean advantage of the other worlds with the same start, step by step.
 
-    ``A_i - mean_{j != i} A_j``: what a fall costs depends on how it begins more than on what is
-    done about it, and much of that no critic learns to tell. The others' noise knows nothing of
-    one's own, so that this is a baseline like any other and leaves the policy gradient unbiased.
+    ``A_i - mean_{j != i} A_j``. What a fall costs depends more on how it begins than on what is
+    done about it, and a critic learns only a part of that. The actions of the other worlds do not
+    depend on those of this one: the mean is a baseline, and the policy gradient stays unbiased.
 
     Args:
         advantage: ``(N, T, 1)`` of worlds of which ``alike`` in a row began in the same state.

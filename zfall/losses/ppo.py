@@ -64,8 +64,8 @@ class PenalizedPPOLoss(ClipPPOLoss):
 
     kl_coeff: Tensor
     out_keys: list[str]
-    # Of several parts of a batch, each seen by a loss of its own: figures that are no means of
-    # samples, what is made of the sums that ``gives_sums`` writes in their place, and maxima.
+    # Where several processes share a minibatch, means of samples can be averaged. Of other figures
+    # the loss writes sums, with ``gives_sums``, and the processes take the maximum of ``largest``.
     gives_sums = False
     largest = ("max_ratio",)
 

@@ -15,7 +15,7 @@ class ExploringActor(TensorDictModuleBase):
     """Acts as an actor does, but with ``exploration_noise`` in place of its own random numbers.
 
     ``action = mean + deviation * noise``. The probability that it writes is that of each action by
-    itself, as PPO's ratio takes it; that noise of one step tells of the next stays unsaid.
+    itself, which PPO's ratio needs. That noise is correlated in time does not enter it.
 
     Keys: reads what the actor reads and ``exploration_noise`` ``(*B, J)``, of deviation 1; writes
     ``action`` ``(*B, J)`` and ``action_log_prob`` ``(*B,)``.

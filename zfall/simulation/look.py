@@ -57,7 +57,6 @@ def _light(spec: mujoco.MjSpec, size: float) -> None:
     whole, head = spec.visual.global_, spec.visual.headlight
     whole.offwidth, whole.offheight = 1920, 1080
     head.ambient, head.diffuse, head.specular = [0.42] * 3, [0.3] * 3, [0.05] * 3
-    spec.visual.quality.shadowsize = 2048
     spec.visual.quality.shadowsize, spec.visual.map.shadowscale = 4096, 0.4
     spec.visual.map.zfar = 10.0  # times the extent: there the floor fades into the sky
     for sun in spec.lights:

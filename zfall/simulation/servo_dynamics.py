@@ -1,4 +1,4 @@
-"""What MuJoCo has not of a servo: friction under load, a common supply, overload, heat.
+"""Effects in a servo that MuJoCo lacks: friction under load, a common supply, overload, heat.
 
 All of it is computed once in a control step, from the step before, and acts through fields that
 differ by world.

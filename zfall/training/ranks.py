@@ -54,7 +54,13 @@ class Share(Protocol):
         """Within it random numbers are those of the whole minibatch."""
 
     def weighed(self, out: TensorDictBase, loss: Any, seen: TensorDictBase) -> TensorDictBase:
-        """What a ``loss`` gave for what it has ``seen``, so that the ranks' add up to the whole."""
+        """The losses ``out`` of this rank, weighed so that the sum over ranks is that of the whole.
+
+        Args:
+            out: what the loss gave.
+            loss: which.
+            seen: the part of the minibatch that it was given.
+        """
 
 
 class Ranks(Protocol):
