@@ -36,6 +36,7 @@ class Keys(TypedDict):
     falls: Name
     world: Name | None
     headings: Sequence[Whole]
+    mirrored: bool
     speeds: Sequence[Positive]
     until: Sequence[Positive]
     candidates: Count

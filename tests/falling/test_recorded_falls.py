@@ -47,6 +47,27 @@ def test_falls_are_told_apart_by_heading_and_speed(tmp_path, facing):
     assert falls.like(-90, 0.0, 3.0).tolist() == []
 
 
+def test_falls_to_the_left_are_caught_by_images_of_movements_for_the_right(tmp_path, monkeypatch):
+    """100 degrees to the left is -100 in the mirror, and what the robot then does is the image."""
+    worlds = BankWorlds(2)
+    np.savez(tmp_path / "falls.npz", **standing(worlds.base, [100.0, -100.0], [1.0, 1.0], 2.0))
+    falls = Falls(worlds, tmp_path / "falls.npz", mirrored=True)
+    assert falls.heading.tolist() == pytest.approx([-100.0, -100.0], abs=0.5)
+    assert falls.mirrored.tolist() == [True, False]
+    assert falls.like(-90, 0.0, 3.0).tolist() == [0, 1]
+    targets, step = [], worlds.env.step
+    monkeypatch.setattr(worlds.env, "step", lambda td: targets.append(td["target"]) or step(td))
+    moves = worlds.base.stand_position.repeat(2, 1, 1).clone()
+    moves[:, 0, ZEROTH01.joints.index("right_hip_pitch")] -= 0.1
+    moves[:, 0, ZEROTH01.joints.index("right_ankle_roll")] += 0.05
+    caught(falls, torch.tensor([0, 1]), moves, torch.tensor([torch.inf]))
+    left, right = (targets[0] - worlds.base.stand_position).unbind()
+    moved = {ZEROTH01.joints[i]: round(right[i].item(), 4) for i in right.nonzero()[:, 0]}
+    assert moved == {"right_hip_pitch": -0.1, "right_ankle_roll": 0.05}
+    moved = {ZEROTH01.joints[i]: round(left[i].item(), 4) for i in left.nonzero()[:, 0]}
+    assert moved == {"left_hip_pitch": -0.1, "left_ankle_roll": -0.05}
+
+
 def test_what_is_left_of_a_push_goes_on(tmp_path):
     """10 N for 0.06 s: all of the first step of 0.04 s, half of the second; 0.6 N s in all.
 

@@ -9,6 +9,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zfall.envs.humanoid import STATE_KEYS
+from zfall.envs.mirror import mirror_quantity
 from zfall.falling.bank_worlds import BankWorlds
 from zfall.falling.banks import PUSH_KEYS, load_bank
 from zfall.falling.kneel_reference import SETTLE
@@ -31,29 +32,34 @@ class Falls:
     Attributes:
         speed: of the center of mass along the ground, after what of the push acts until
             ``KneelReference`` chooses its movement for the last time ``(K,)`` [m/s].
-        heading: its direction, from the robot's own, counterclockwise ``(K,)`` [degrees].
+        heading: its direction, from the robot's own, counterclockwise ``(K,)`` [degrees]; of a fall
+            that is mirrored as in the mirror.
+        mirrored: falls that are caught by the mirror image of a movement ``(K,)`` bool.
 
     Args:
         worlds: which begin in them.
         path: of the bank, which must have pushes, at the torso.
+        mirrored: whether falls to the left are, as ``MirroredFalls`` has it.
 
     Raises:
         ValueError: if there is no such bank.
     """
 
-    def __init__(self, worlds: BankWorlds, path: Path):
+    def __init__(self, worlds: BankWorlds, path: Path, *, mirrored: bool = False):
         self.worlds, self.env = worlds, worlds.base
         bank = load_bank(path, self.env.robot, needs=PUSH_KEYS, name="falls")
         keys = [key for key in (*STATE_KEYS, "target") if key in bank]
         self.states = {key: bank[key] for key in keys}
         self.force, self.left = bank["push_force"], bank["push_left"][:, 0]
         env, count = self.env, len(self.force)
-        velocity = torch.empty(count, 2)
+        velocity, self.mirrored = torch.empty(count, 2), torch.zeros(count, dtype=torch.bool)
         soon = self.left.clamp(max=last_choice(env.control_dt))[:, None] / env.mass
         for rows in torch.arange(count).split(env.num_envs):  # the last ones are filled up
             td = self.begin(torch.cat([rows, rows.new_zeros(env.num_envs - len(rows))]))
-            speed = td["com_velocity"][: len(rows), :2] + soon[rows] * self.force[rows, :2]
-            velocity[rows] = turn_to_heading(td["base_orientation"][: len(rows)], speed)
+            now, ahead = td["com_velocity"][: len(rows), :2], td["base_orientation"][: len(rows)]
+            velocity[rows] = turn_to_heading(ahead, now + soon[rows] * self.force[rows, :2])
+            self.mirrored[rows] = mirrored & (turn_to_heading(ahead, now)[:, 1] > 0)
+        velocity[:, 1] = torch.where(self.mirrored, -velocity[:, 1], velocity[:, 1])
         self.speed = velocity.norm(dim=-1)
         self.heading = torch.atan2(velocity[:, 1], velocity[:, 0]).rad2deg()
 
@@ -115,11 +121,14 @@ def caught(falls: Falls, rows: Tensor, postures: Tensor, until: Tensor) -> Landi
     Args:
         falls: of a bank.
         rows: fall of each world ``(N,)``.
-        postures: movement of each world ``(N, K, J)`` [rad].
+        postures: movement of each world ``(N, K, J)`` [rad]; of mirrored falls in the mirror.
         until: when each posture ends ``(K,)`` [s].
     """
     env, count = falls.env, len(rows)
     falls.begin(rows)
+    index, sign = mirror_quantity(env.robot, "target")
+    image = postures[..., list(index)] * torch.tensor(sign)
+    postures = torch.where(falls.mirrored[rows, None, None], image, postures)
     way = env.stand_position.repeat(count, 1)
     reach = SPEED * env.control_dt
     struck = [env.regions.index(region) for region in ("torso", "head")]

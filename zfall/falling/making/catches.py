@@ -39,6 +39,8 @@ class SearchedCatches:
         world: battery in whose hardware falls go on, ``twin``, each in a draw of its own; ``None``:
             the published servos, and no delays.
         headings: of the falls to catch, left is 90 [degrees].
+        mirrored: whether falls to the left are caught by the image of a movement for the right, as
+            with ``MirroredFalls``: those are searched on both, and none for the left.
         speeds: between the ranges of speed of the falls [m/s].
         until: when each posture but the last ends [s].
         candidates: movements of a round.
@@ -58,6 +60,7 @@ class SearchedCatches:
         falls: Name,
         world: Name | None = None,
         headings: Sequence[Whole] = HEADINGS,
+        mirrored: bool = False,
         speeds: Sequence[Positive] = (1.65, 2.15, 2.4),
         until: Sequence[Positive] = (0.08, 0.16, 0.32, 0.6),
         candidates: Count = 256,
@@ -77,7 +80,8 @@ class SearchedCatches:
             seed=seed,
         )
         check_bins(headings, speeds, until)
-        self.falls, self.world, self.headings = Path(falls), world, list(headings)
+        self.falls, self.world, self.mirrored = Path(falls), world, mirrored
+        self.headings = [each for each in headings if not (mirrored and 0 < each < 180)]
         load_bank(self.falls, DEFAULT, needs=PUSH_KEYS, name="falls")
         self.speeds, self.until = list(speeds), list(until)
 
@@ -95,7 +99,8 @@ class SearchedCatches:
         count = self.search.candidates * self.search.trials
         control_dt = bank_control_dt(self.falls, name="falls")
         worlds = BankWorlds(count, self.world, control_dt=control_dt)
-        falls, begin = Falls(worlds, self.falls), len(progress.lines)
+        falls = Falls(worlds, self.falls, mirrored=self.mirrored)
+        begin = len(progress.lines)
         for attempt in improve(catches, falls, self.search, self.headings, begin=begin):
             console.print(str(attempt), soft_wrap=True)
             progress.add(str(attempt), lambda file: save_catches(file, *catches))
