@@ -21,6 +21,7 @@ PAPERS = ["icub_balance", "atalante_standing", "zeroth_fall"]
     [
         *(name + end for name in PAPERS for end in ("", "_laptop")),
         "best_gru",
+        "icub_balance_tuned",
         "push_to_kneel_softly",
     ],
 )
