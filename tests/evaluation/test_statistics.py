@@ -8,7 +8,13 @@ import pytest
 from scipy.stats import norm
 
 from zfall.evaluation.definitions import load_battery
-from zfall.evaluation.statistics import largest_withstood, success_table, summarize, wilson
+from zfall.evaluation.statistics import (
+    i50_error,
+    largest_withstood,
+    success_table,
+    summarize,
+    wilson,
+)
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 20), (7, 20), (20, 20), (199, 240)])
@@ -56,6 +62,32 @@ def trials() -> pd.DataFrame:
         for i in range(4)
     ]
     return pd.DataFrame(rows)
+
+
+def of_one_direction(starts, *won):
+    """Trials of sizes 0.1, 0.2, ... from one direction."""
+    return pd.DataFrame(
+        [
+            {"direction_rad": 0.0, "impulse": 0.1 * size, "recovered": start < good}
+            for size, good in enumerate(won, 1)
+            for start in range(starts)
+        ]
+    )
+
+
+def test_a_size_counts_for_the_mean_only_if_the_smaller_ones_are_withstood():
+    """One of four at 0.1, two of four at 0.2: at least half succeed 67 of 256, and 11 of 16 times."""
+    small, large = 67 / 256, 11 / 16
+    mean = 0.1 * small * (1 - large) + 0.2 * small * large
+    square = 0.1**2 * small * (1 - large) + 0.2**2 * small * large
+    assert i50_error(of_one_direction(4, 1, 2)) == pytest.approx(math.sqrt(square - mean**2))
+
+
+def test_of_one_start_nothing_is_known():
+    assert i50_error(of_one_direction(1, 1, 0)) is None
+    gap = of_one_direction(2, 2, 1, 0)
+    gap = pd.concat([gap, gap[gap["impulse"] < 0.25].assign(direction_rad=1.0)])
+    assert i50_error(gap) is None
 
 
 def test_success_table_holds_the_rates(trials):

@@ -186,7 +186,7 @@ class ModeMachine(Transform):
         self.rule = ModeRule(**steps)
         self.bounds, self.probability = bounds, probability
         if lost is not None and probability is None:
-            angle = bounds["angle"] = min(angle, lost)
+            bounds["angle"] = min(angle, lost)
         self.lost = math.inf if lost is None else lost
         self._resting = partial(
             resting_kneel, robot=env.robot, speed=rest_speed, joint_speed=rest_joint_speed
