@@ -95,8 +95,8 @@ def rows(folder: Path) -> int:
 
 def kill_a_worker() -> None:
     """Ends one of those that run a job, without a word to it."""
-    if at_work := of_ray("ray::execute"):
-        os.kill(at_work[0], signal.SIGKILL)
+    wait_until(lambda: of_ray("ray::execute"), 60)
+    os.kill(of_ray("ray::execute")[0], signal.SIGKILL)
 
 
 def without_speed(results: Path) -> dict[str, str]:

@@ -10,6 +10,8 @@ from omegaconf import DictConfig
 
 from zfall.files import written_whole
 
+STOP = 6  # the step after which a job waits for the file ``waits_for``
+
 
 @hydra.main(version_base=None, config_path=".", config_name="counting")
 def main(cfg: DictConfig) -> int:
@@ -31,4 +33,6 @@ def main(cfg: DictConfig) -> int:
         with written_whole(last) as new:
             new.write_text(str(count))
         print(f"counted {count}")
+        while cfg.waits_for and count == STOP and not Path(cfg.waits_for).exists():
+            time.sleep(0.01)
     return count

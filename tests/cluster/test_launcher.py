@@ -53,20 +53,24 @@ def test_a_job_whose_worker_is_killed_goes_on_from_its_last_checkpoint(
 ):
     """On a shared disk, and on one of the node's own, whose files are fetched."""
     monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "sweep"
-    killer = threading.Thread(
-        target=lambda: (wait_until(lambda: counted(folder) >= 6), kill_a_worker()), daemon=True
-    )
+    folder, killed = tmp_path / "sweep", tmp_path / "killed"
+
+    def kill() -> None:
+        wait_until(lambda: counted(folder) == 2 * counting.STOP)
+        kill_a_worker()
+        killed.touch()
+
+    killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     files = ["hydra.sweep.dir=sweep", f"hydra.launcher.shared={shared}", "hydra.launcher.every=0.1"]
-    done = sweep(cluster, "until=40,41", *files)
+    done = sweep(cluster, "until=40,41", f"waits_for={killed}", *files)
     killer.join()
     assert done.returncode == 0, done.stderr
     for number, until in ((0, 40), (1, 41)):
         rows = "".join(f"{row}\n" for row in range(1, until + 1))
         assert (folder / str(number) / "count.txt").read_text() == rows
         assert f"counted {until}" in (folder / f"{number}.log").read_text()
-        assert f"/2 #{number} until={until}: done" in done.stdout
+        assert f"/2 #{number} until={until} waits_for={killed}: done" in done.stdout
     whole, cut = sorted(begins(folder), key=len)
     assert whole == [0, 1]
     assert cut[0] == 0
