@@ -166,7 +166,7 @@ def test_the_twin_begins_with_all_that_twin_fast_learns(compose_config):
 @pytest.mark.parametrize(
     ("name", "teacher", "alone"),
     [
-        ("twin", "stage:straighter", ["alone", "ramps"]),
+        ("twin", "stage:straighter", ["alone", "ramps", "quick"]),
         ("twin_gru_mog", "twin_fast", ["alone", "quick"]),
     ],
 )
@@ -176,9 +176,9 @@ def test_a_memory_in_the_twin_is_taught_and_then_goes_on_alone(
     """By the teacher's rate, with CAPS, noise and late commands in all stages."""
     edge = stages_of(compose_config("experiment=twin_fast"))[-1].config
     assert edge.env.base_env == load_policy("twin_fast").config.env.base_env
-    stages = stages_of(compose_config(f"experiment={name}"))[-3:]
+    stages = stages_of(compose_config(f"experiment={name}"))[-1 - len(alone) :]
     assert [stage.name for stage in stages] == ["taught", *alone]
-    assert [stage.begins_with for stage in stages] == [None, "taught", "alone"]
+    assert [stage.begins_with for stage in stages] == [None, "taught", *alone[:-1]]
     shown = "observation" if name == "twin" else "observation_teacher"
     for cfg in (stage.config for stage in stages):
         assert (cfg.actor.hidden_size, cfg.actor.components, cfg.actor.std) == (64, 3, 0.08)
@@ -207,6 +207,7 @@ def test_ramps_of_the_servos_come_once_a_policy_goes_on_alone(compose_config):
                 assert stage.config.rollout_steps == 32
     assert ramps == {
         ("twin", "ramps"): [30.0, 150.0],
+        ("twin", "quick"): [30.0, 600.0],
         ("twin_gru_mog", "alone"): [30.0, 150.0],
         ("twin_gru_mog", "quick"): [30.0, 600.0],
     }
@@ -217,7 +218,7 @@ def test_the_memory_in_the_twin_is_taught_in_the_pose_in_which_it_is_to_rest(com
     stages = stages_of(compose_config("experiment=twin"))
     names = [stage.name for stage in stages]
     moved = names.index("straighter")
-    assert names[moved - 1 :] == ["edge", "straighter", "taught", "alone", "ramps"]
+    assert names[moved - 1 :] == ["edge", "straighter", "taught", "alone", "ramps", "quick"]
     assert stages[moved].make["run"] == "stage:edge"
     for stage in stages:
         terms = stage.config.env.transforms.reward.terms
