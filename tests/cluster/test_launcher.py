@@ -56,9 +56,11 @@ def test_a_job_whose_worker_is_killed_goes_on_from_its_last_checkpoint(
     folder, killed = tmp_path / "sweep", tmp_path / "killed"
 
     def kill() -> None:
-        wait_until(lambda: counted(folder) == 2 * counting.STOP)
-        kill_a_worker()
-        killed.touch()
+        try:
+            wait_until(lambda: counted(folder) == 2 * counting.STOP)
+            kill_a_worker()
+        finally:
+            killed.touch()  # or the jobs would wait for ever
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
